@@ -1,8 +1,13 @@
 """`tactiled demo`: the whole service without hardware, over python-can's virtual bus."""
 
+import time
 from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
+from dataclasses import replace
+from pathlib import Path
 from secrets import token_urlsafe
+from shutil import copy
+from tempfile import TemporaryDirectory
 from threading import Event, Thread
 from typing import Annotated
 
@@ -19,8 +24,9 @@ from tactiled.config import Config, Server, parse, validated
 from tactiled.config.example import EXAMPLE, GRASP, SHEAR
 from tactiled.config.schema import LOOPBACK
 from tactiled.errors import ConfigError
+from tactiled.frames import Message
 from tactiled.runtime.service import Service
-from tactiled.simulate import play
+from tactiled.simulate import Player, play
 from tactiled.web.server import serve
 
 NOISE_KPA = 0.2  # of a simulated taxel
@@ -28,11 +34,16 @@ REAL_BUS, VIRTUAL_BUS = (
     f'interface = "{interface}"\nchannel = "{channel}"'
     for interface, channel in (("socketcan", "can0"), ("virtual", "demo"))
 )
+OPENING = {"palm": "touch", "skin": "sphere"}  # the scene of each sensor, unless one is chosen
+RECORDED = ("empty", 1.0), ("fingertip", 5.0)  # scenes of the recording to play, and how long, s
+RECORDED_HZ, LEAVE_MB = 50.0, 100.0
 Source = Callable[[Reader, Event], object]
 
 
 def demo(
-    scene: Annotated[str, typer.Option(help="What touches the array: tour, or one scene.")] = "tour",
+    scene: Annotated[
+        str | None, typer.Option(help="What touches the arrays: tour, or one scene; touch and sphere if left out.")
+    ] = None,
     record: Annotated[
         str | None,
         typer.Option("--recording", help="Play a real recording instead: " + ", ".join(recording.names())),
@@ -48,37 +59,67 @@ def demo(
 ) -> None:
     """Simulate a covered array, or play a real recording, and serve it live; needs no hardware."""
     config = demo_config(record, shear)
-    with threadpool_limits(1):
+    with threadpool_limits(1), TemporaryDirectory(prefix="tactiled-demo-", ignore_cleanup_errors=True) as folder:
         service = Service(config)
-        source = _source(record, config, scene, rate_hz)
+        source = _source(record, config, scene, rate_hz, Path(folder))
         with stoppable(), running(service, config, source):
-            serve(service, _server(host, port, foxglove))
+            serve(service, _server(host, port, foxglove, folder))
 
 
-def _source(record: str | None, config: Config, scene: str, rate_hz: float) -> Source:
-    """What sends frames on the bus until an event."""
-    if record:
-        path = recording.path(record)
-        return lambda sender, stop: recording.play(path, sender.send, stop, loop=True)
-    (sensor,) = config.sensor.values()
-    source = simulated(sensor, scene, NOISE_KPA)
-    return lambda sender, stop: play(source.messages, sender.send, rate_hz, stop)
+def _source(record: str | None, config: Config, scene: str | None, rate_hz: float, folder: Path) -> Source:
+    """What sends frames on the bus until an event; a recording to play is put into `folder`."""
+    if not record:
+        return simulation(config, scene, rate_hz, folder)
+    path = recording.path(record)
+    copy(path, folder)
+    return lambda sender, stop: recording.play(path, sender.send, stop, loop=True)
 
 
-def _server(host: str, port: int, foxglove: int | None) -> Server:
+def simulation(config: Config, scene: str | None, rate_hz: float, folder: Path) -> Source:
+    """All sensors under a scene, or each under its own; a recording of them is put into `folder`."""
+    players = [simulated(each, scene or OPENING[name], NOISE_KPA) for name, each in config.sensor.items()]
+    _record(players, folder / "fingertips.log")
+
+    def messages(sequence: int, t: float, now: float) -> list[Message]:
+        return [message for each in players for message in each.messages(sequence, t, now)]
+
+    return lambda sender, stop: play(messages, sender.send, rate_hz, stop)
+
+
+def _record(players: list[Player], path: Path) -> None:
+    """Write what the arrays would send under some scenes, as candump would log it."""
+    began, at = time.time(), 0
+    with path.open("w", encoding="ascii") as log:
+        for scene, seconds in RECORDED:
+            acting = [replace(each, scenes=(scene,)) for each in players]
+            for sequence in range(at, at := at + round(seconds * RECORDED_HZ)):
+                t = sequence / RECORDED_HZ
+                for message in (one for each in acting for one in each.messages(sequence, t, began + t)):
+                    mark = "##1" if message.fd else "#"
+                    log.write(f"({message.time:.6f}) {path.stem} {message.id:03X}{mark}{message.data.hex()}\n")
+
+
+def _server(host: str, port: int, foxglove: int | None, recordings: str) -> Server:
     """Where to serve; beyond loopback with a token made for this run."""
     token = None if host in LOOPBACK else SecretStr(token_urlsafe(12))
     if token:
         print(f"tactiled: other machines open http://{host}:{port}/?token={token.get_secret_value()}")
+    print(f"tactiled: recordings go to {recordings}: it is removed at the end")
     address = {"host": host, "port": port, "foxglove": foxglove, "control_token": token}
-    return validated(Server, address, f"--foxglove {foxglove}")
+    kept = {"recordings": recordings, "recordings_leave_mb": LEAVE_MB}
+    return validated(Server, address | kept, f"--foxglove {foxglove}")
 
 
 def demo_config(record: str | None = None, shear: bool = False) -> Config:
-    """The configuration that `tactiled init` writes, of a recorded grasp or of a 3-axis skin, on a virtual bus."""
+    """The configuration of a recorded grasp, of a 3-axis skin, or of both the latter and `tactiled init`'s array.
+
+    That array has a thicker cover here, which blurs more.
+    """
     if record and shear:
         raise ConfigError(f"--shear: recording {record} has none: leave one of the two out")
-    text = GRASP if record else SHEAR if shear else EXAMPLE
+    skin = SHEAR[SHEAR.index("[sensor.skin]") :]
+    both = EXAMPLE.replace("thickness_mm = 1.2", "thickness_mm = 2.0") + skin
+    text = GRASP if record else SHEAR if shear else both
     return parse(text.replace(REAL_BUS, VIRTUAL_BUS), "demo")
 
 

@@ -14,6 +14,7 @@ Floats: TypeAlias = NDArray[np.float64]
 Scene: TypeAlias = Callable[[Floats, Floats, float, float, float], Floats]
 # Over the root of x^3 = x + 1, and its square: numbers times these, modulo 1, fill a square evenly.
 PLASTIC_STEPS = (0.7548776662466927, 0.5698402909980532)
+TOUCH = (2345, 135, 136, 14, 125)  # the word in Braille: each letter's dots, down the left column, then the right
 
 
 def _inside(distance: Floats, grain: float) -> Floats:
@@ -48,6 +49,20 @@ def ring(x: Floats, y: Floats, t: float, size: float, grain: float) -> Floats:
     turn, mm = 0.3 * t, size / 2
     u, v = x * np.cos(turn) + y * np.sin(turn), y * np.cos(turn) - x * np.sin(turn)
     return 80 * (_inside(_square(u, v, 1.0 * mm), grain) - _inside(_square(u, v, 0.6 * mm), grain))
+
+
+def touch(x: Floats, y: Floats, t: float, size: float, grain: float) -> Floats:
+    """Two rings and the word TOUCH in Braille (dots 2.5 mm apart on 32 mm), pressed harder and softer."""
+    mm = size / 32
+    around = np.hypot(x, y - 5.5 * mm)
+    rings = sum(_inside(0.7 * mm - np.abs(around - radius * mm), grain) for radius in (3.0, 7.5))
+    squares = np.full_like(x, np.inf)  # of the distances to the nearest dot
+    for number, dots in enumerate(TOUCH):
+        for dot in str(dots):
+            column, row = divmod(int(dot) - 1, 3)
+            right, down = (6.1 * (number - 2) + 2.5 * (column - 0.5)) * mm, (2.5 * row - 12.0) * mm
+            np.minimum(squares, (x - right) ** 2 + (y - down) ** 2, out=squares)
+    return 100 * (0.8 + 0.2 * np.sin(t)) * np.asarray(rings + _inside(0.8 * mm - np.sqrt(squares), grain))
 
 
 def indenters(x: Floats, y: Floats, t: float, size: float, grain: float) -> Floats:
@@ -112,5 +127,5 @@ def steps(x: Floats, y: Floats, t: float, size: float, grain: float) -> Floats:
 
 SCENES: dict[str, Scene] = {
     each.__name__: each
-    for each in (ring, indenters, sphere, edge, fingertip, uniform, empty, tip, straightedge, steps)
+    for each in (ring, indenters, sphere, edge, fingertip, uniform, empty, touch, tip, straightedge, steps)
 }

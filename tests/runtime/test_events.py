@@ -4,6 +4,7 @@ import pytest
 
 from tactiled.calibrate.creep import Creep
 from tactiled.calibrate.health import Change, Fault
+from tactiled.diagnostics.warning_codes import warning
 from tactiled.frames import MISSING
 from tactiled.runtime.events import CLEAR_AFTER_S, Events, Faults
 from tactiled.runtime.sensor import Sensor
@@ -102,6 +103,25 @@ def test_a_warning_is_raised_once_per_code_and_cleared_after_a_while(plan):
     assert cleared.text == f"no longer: {cleared.warning.text}"
     assert events_at(3.0 * WARNING_STAYS_S, 5) == [("warning_raised", 5)]
     assert events_at(9.0 * WARNING_STAYS_S) == [("sensor_stale", None), ("sensor_silent", None)]  # clear nothing
+
+
+def test_an_image_that_is_cut_short_is_an_event_only_once_that_lasts(watched):
+    cut = {"cut_short": warning("cut_short", budget_ms=1.0)}
+    watched.sensor.restore(frame())
+    watched.look()
+    watched.sensor.drain_warnings = lambda: cut
+
+    def raised(seconds, gap=0.0):
+        watched.now += gap
+        kinds = []
+        for _ in range(round(2 * seconds)):
+            watched.now += 0.5
+            watched.sensor.restore(frame())
+            kinds += [kind for kind, _, text in watched.look() if "were over before" in text]
+        return kinds
+
+    assert raised(10) == raised(9, gap=1.0) == []
+    assert raised(2) == ["warning_raised"]
 
 
 def test_a_fault_is_one_event_and_the_watch_clears_it_after_a_while(caplog):

@@ -8,14 +8,13 @@ import pytest
 
 from tactiled.build import make_codec
 from tactiled.bus.reader import open_bus
+from tactiled.bus.recording import Recording
 from tactiled.bus.router import Router
-from tactiled.cli.demo import demo_config, running
-from tactiled.cli.simulate import simulated
+from tactiled.cli.demo import demo_config, running, simulation
 from tactiled.config import parse
 from tactiled.config.example import EXAMPLE, GRASP
 from tactiled.frames import Message
 from tactiled.runtime.service import Service
-from tactiled.simulate import play
 from tests.cli.commands import refusal, succeed
 from tests.conftest import until
 
@@ -161,13 +160,20 @@ def test_wrong_arguments_are_refused(config):
         assert message in refusal("simulate", *arguments.split())
 
 
-def test_the_demo_with_shear_shows_a_skin_with_shear():
+def test_the_demo_shows_a_skin_with_shear_and_has_a_recording_to_play(tmp_path):
+    assert [*demo_config().sensor] == ["palm", "skin"]
     config = demo_config(shear=True)
     service = Service(config)
     (sensor,) = service.sensors.values()
-    source = simulated(config.sensor["skin"], "sphere", 0.2)
-    with running(service, config, lambda sender, stop: play(source.messages, sender.send, 100.0, stop)):
+    with running(service, config, simulation(config, None, 100.0, tmp_path)):
         until(lambda: (image := sensor.hub.latest()) and image.sequence > 20)
     shear = sensor.hub.latest().shear
     assert (sensor.name, shear.shape) == ("skin", (2, 4, 6))
     assert np.abs(shear).max() > 100
+    router, frames = Router({"skin": sensor.codec}), []
+    for message in Recording(tmp_path / "fingertips.log"):
+        frames += [frame.counts for _, frame in router.push(message)]
+    raw = np.array(frames)
+    assert len(raw) >= 299
+    assert np.ptp(raw[:50].mean(axis=1)) < 20  # empty at first, as a measurement of the noise wants it
+    assert raw.max() > raw[:50].max() + 500

@@ -25,7 +25,14 @@ def finger(t, side):
     return 2 / 3 * peak * np.pi * 1.35 * (0.11 * SIZE) ** 2
 
 
+def relief(t):
+    """Force of two rings and fifteen dots, pressed harder and softer."""
+    area = np.pi * (2 * 1.4 * (3.0 + 7.5) + 15 * 0.8**2)
+    return 100 * (0.8 + 0.2 * np.sin(t)) * area
+
+
 FORCES = {
+    "touch": (100, relief),
     "ring": (80, lambda _: 80 * (1.0**2 - 0.6**2) * (SIZE / 2) ** 2),
     "indenters": (120, lambda _: 2 * 120 * np.pi * (0.05 * SIZE) ** 2),
     "sphere": (100, lambda _: 2 / 3 * 100 * np.pi * (0.14 * SIZE) ** 2),

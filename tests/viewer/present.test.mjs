@@ -70,6 +70,10 @@ test("a warning stays five seconds after it was last reported, with its newest t
   assert.deepEqual(warnings.hold(dead("2 taxels dead"), 0), ["2 taxels dead"]);
   assert.deepEqual(warnings.hold(dead("1 taxel dead"), 1000), ["1 taxel dead"]);
   assert.deepEqual([warnings.hold([], 5900), warnings.hold([], 6001)], [["1 taxel dead"], []]);
+  const cut = (now) => warnings.hold([{ code: "cut_short", text: "cut", taxels: null }], now).length;
+  const counts = Array.from({ length: 12 }, (_, i) => cut(10_000 + 1000 * i)); // it lasts ten seconds
+  assert.deepEqual(counts, [0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 1, 1]);
+  assert.equal(cut(30_000), 0); // and begins again after a gap
 });
 
 test("what belongs to some frames is shown with the nearest one, within a limit and with the offset", () => {

@@ -130,7 +130,9 @@ async function loadOffers() {
   recorder.offer(offered.has("/recordings"), sensors.some((each) => each.clock === REPLAYED));
   calibration.offer(offered.has("/sensors/{name}/calibration/session"));
   log.offer(offered.has("/events"));
-  if (offered.has("/config") && !loadSetting(DEMO_KEY)) byId("demo").hidden = !(await api.isDemo());
+  const demo = offered.has("/config") && await api.isDemo();
+  byId("recordings-demo").hidden = !(demo && offered.has("/recordings"));
+  byId("demo").hidden = !demo || loadSetting(DEMO_KEY) !== null;
   await viewer.view.load();
 }
 

@@ -62,7 +62,7 @@ export class Readings {
     this._raw = measureCells("raw");
     this._restored = measureCells("restored");
     this._at = Object.fromEntries([
-      "method-used", "why", "iterations", "microseconds", "resolution", "noise", "noise-gain", "about", "sequence", "rate",
+      "method-used", "why", "iterations", "microseconds", "cut-short", "resolution", "noise", "noise-gain", "about", "sequence", "rate",
       "fps", "latency", "jitter", "skew", "losses",
     ].map((id) => [id, byId(id)]));
     this._offset = byId("details-from");
@@ -143,6 +143,7 @@ export class Readings {
   restoration(method, status, offset, still) {
     setText(this._at["method-used"], method ? methodTitle(method) : "\u2013");
     setText(this._at.why, status && status.ran === method ? status.why : "");
+    setText(this._at["cut-short"], !status ? "\u2013" : status.warnings.some((each) => each.code === "cut_short") ? "yes" : "no");
     setText(this._offset, offset);
     if (still || status?.sensor !== this._status?.sensor) this._alerts.clear();
     this._alerts.show(status?.warnings ?? [], performance.now());

@@ -5,16 +5,21 @@ import { element, setText } from "./dom.js";
 /** @import { Warning } from "./api.js" */
 
 const STAYS_MS = 5000; // after it was last reported, as the service's events have it
-const MINOR = "cut_short"; // listed after all others: the image is right, only less sharp
+const QUIET = "cut_short"; // the image is right, only less sharp: no warning before it lasts, as in the service's events
+const LASTS_MS = 10_000;
+const GAP_MS = 1500; // longer than from status to status
 
 export class Warnings {
   constructor() {
     /** @type {Map<string, {text: string, at: number}>} by code */
     this._recent = new Map();
+    this._quietSince = NaN; // ms
+    this._quietAt = NaN;
   }
 
   clear() {
     this._recent.clear();
+    this._quietSince = this._quietAt = NaN;
   }
 
   /**
@@ -23,11 +28,16 @@ export class Warnings {
    * @returns {string[]} texts of these and of those reported shortly before
    */
   hold(warnings, now) {
-    for (const { code, text } of warnings) this._recent.set(code, { text, at: now });
+    for (const { code, text } of warnings) if (code !== QUIET || this._lasts(now)) this._recent.set(code, { text, at: now });
     for (const [code, { at }] of this._recent) if (now - at > STAYS_MS) this._recent.delete(code);
-    const minor = this._recent.get(MINOR);
-    if (minor && this._recent.delete(MINOR)) this._recent.set(MINOR, minor);
     return [...this._recent.values()].map((each) => each.text);
+  }
+
+  /** @param {number} now ms @returns {boolean} what is reported now was so for long */
+  _lasts(now) {
+    if (!(now - this._quietAt < GAP_MS)) this._quietSince = now;
+    this._quietAt = now;
+    return now - this._quietSince >= LASTS_MS;
   }
 }
 
