@@ -16,6 +16,7 @@ from tactiled.calibrate.calibration import Calibration, Calibrator
 from tactiled.calibrate.calibration_file import CalibrationFile
 from tactiled.calibrate.sections import CoverSection
 from tactiled.config import classic, schema
+from tactiled.cover.cache import Report
 from tactiled.cover.kernel import Kernel, cached, radial
 from tactiled.cover.operator import cached as cached_table
 from tactiled.cover.operator import stencil, tiled
@@ -82,11 +83,17 @@ class SensorPlan:
         return isinstance(self.codec, ShearCodec)
 
 
-def sensor_plans(config: schema.Config) -> tuple[SensorPlan, ...]:
-    """Plan every sensor; a TactileError names the sensor, or the two that want the same messages of a bus."""
-    plans = tuple(sensor_plan(name, sensor) for name, sensor in config.sensor.items())
+def sensor_plans(config: schema.Config, report: Report = lambda _: None) -> tuple[SensorPlan, ...]:
+    """Plan every sensor; a TactileError names the sensor, or the two that want the same messages of a bus.
+
+    `report` gets a line before each, as that may take seconds.
+    """
+    plans: list[SensorPlan] = []
+    for name, sensor in config.sensor.items():
+        report(f"{name}: solving the cover ({len(plans) + 1} of {len(config.sensor)})")
+        plans.append(sensor_plan(name, sensor))
     check_buses(config, plans)
-    return plans
+    return tuple(plans)
 
 
 def check_buses(config: schema.Config, plans: Iterable[SensorPlan]) -> None:

@@ -1,6 +1,6 @@
 """`tactiled check`: whether a configuration is right, and what its cover will do to its array."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Annotated
 
@@ -83,10 +83,10 @@ def _bus(config: Config, name: str, seconds: float) -> list[Finding]:
     return report.findings
 
 
-def prepared(config: Path) -> Service:
-    """The service of a configuration file, all of it made and nothing started."""
+def prepared(config: Path, report: Callable[[str], object] = lambda _: None) -> Service:
+    """The service of a configuration file, all of it made and nothing started; `report` gets a line a sensor."""
     settings = load(config)
-    return Service(settings, state=StateFile.of(config, settings.server.state), path=config)
+    return Service(settings, state=StateFile.of(config, settings.server.state), path=config, report=report)
 
 
 def _count(named: Mapping[str, object], noun: str) -> str:

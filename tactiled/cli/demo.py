@@ -15,6 +15,7 @@ import typer
 from pydantic import SecretStr
 from threadpoolctl import threadpool_limits
 
+from tactiled import logs
 from tactiled.bus import recording
 from tactiled.bus.reader import Reader, open_bus
 from tactiled.cli import options
@@ -60,7 +61,7 @@ def demo(
     """Simulate a covered array, or play a real recording, and serve it live; needs no hardware."""
     config = demo_config(record, shear)
     with threadpool_limits(1), TemporaryDirectory(prefix="tactiled-demo-", ignore_cleanup_errors=True) as folder:
-        service = Service(config)
+        service = Service(config, report=logs.announce)
         source = _source(record, config, scene, rate_hz, Path(folder))
         with stoppable(), running(service, config, source):
             serve(service, _server(host, port, foxglove, folder))
@@ -78,6 +79,7 @@ def _source(record: str | None, config: Config, scene: str | None, rate_hz: floa
 def simulation(config: Config, scene: str | None, rate_hz: float, folder: Path) -> Source:
     """All sensors under a scene, or each under its own; a recording of them is put into `folder`."""
     players = [simulated(each, scene or OPENING[name], NOISE_KPA) for name, each in config.sensor.items()]
+    logs.announce("simulating a recording to play")
     _record(players, folder / "fingertips.log")
 
     def messages(sequence: int, t: float, now: float) -> list[Message]:
@@ -104,7 +106,7 @@ def _server(host: str, port: int, foxglove: int | None, recordings: str) -> Serv
     token = None if host in LOOPBACK else SecretStr(token_urlsafe(12))
     if token:
         print(f"tactiled: other machines open http://{host}:{port}/?token={token.get_secret_value()}")
-    print(f"tactiled: recordings go to {recordings}: it is removed at the end")
+    logs.announce(f"recordings go to {recordings}, which is removed at the end")
     address = {"host": host, "port": port, "foxglove": foxglove, "control_token": token}
     kept = {"recordings": recordings, "recordings_leave_mb": LEAVE_MB}
     return validated(Server, address | kept, f"--foxglove {foxglove}")

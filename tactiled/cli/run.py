@@ -38,7 +38,7 @@ def run(
         if not finding.hint:
             logs.announce(f"doubtful: {finding}", logging.WARNING)  # it may be true: no reason not to run
     with stoppable(), threadpool_limits(1):  # frames are small: a second thread costs more than it gives
-        service = prepared(config)
+        service = prepared(config, logs.announce)
         address = service.config.server.model_dump(exclude_unset=True) | options.present(foxglove=foxglove)
         server = validated(Server, address, f"--foxglove {foxglove}")
         zenoh = service.config.zenoh

@@ -36,6 +36,7 @@ class Service:
         state: StateFile | None = None,
         replayed: bool = False,  # whether recordings are in the buses' place: none is open then
         path: Path | None = None,  # of the configuration file, to reload it
+        report: Callable[[str], object] = lambda _: None,  # gets a line before what may take seconds
     ) -> None:
         self.config, self.state, self.replayed, self.events = config, state, replayed, Events()
         self.faults, self.path = Faults(self.events), path
@@ -44,7 +45,7 @@ class Service:
         self._change_lock, self._stopped = Lock(), False  # what runs is changed, or stopped
         self._set_lock = Lock()  # the method that is kept is the one that runs, whoever sets at once
         self.buses = {name: bus.settings() for name, bus in config.bus.items()}
-        plans = {plan.name: plan for plan in sensor_plans(config)}
+        plans = {plan.name: plan for plan in sensor_plans(config, report)}
         self.sensors = self._make_sensors(plans)  # replaced by a reload, never changed
         self._apply_lock = Lock()  # one calibration is applied at a time
         self._share_time()

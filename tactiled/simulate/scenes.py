@@ -55,14 +55,15 @@ def touch(x: Floats, y: Floats, t: float, size: float, grain: float) -> Floats:
     """Two rings and the word TOUCH in Braille (dots 2.5 mm apart on 32 mm), pressed harder and softer."""
     mm = size / 32
     around = np.hypot(x, y - 5.5 * mm)
-    rings = sum(_inside(0.7 * mm - np.abs(around - radius * mm), grain) for radius in (3.0, 7.5))
+    outer, inner = (_inside(0.7 * mm - np.abs(around - radius * mm), grain) for radius in (7.5, 3.0))
     squares = np.full_like(x, np.inf)  # of the distances to the nearest dot
     for number, dots in enumerate(TOUCH):
         for dot in str(dots):
             column, row = divmod(int(dot) - 1, 3)
             right, down = (6.1 * (number - 2) + 2.5 * (column - 0.5)) * mm, (2.5 * row - 12.0) * mm
             np.minimum(squares, (x - right) ** 2 + (y - down) ** 2, out=squares)
-    return 100 * (0.8 + 0.2 * np.sin(t)) * np.asarray(rings + _inside(0.8 * mm - np.sqrt(squares), grain))
+    dotted = _inside(0.8 * mm - np.sqrt(squares), grain)
+    return 100 * (0.8 + 0.2 * float(np.sin(t))) * (outer + inner + dotted)
 
 
 def indenters(x: Floats, y: Floats, t: float, size: float, grain: float) -> Floats:

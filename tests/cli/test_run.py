@@ -61,7 +61,7 @@ def test_without_its_bus_or_its_own_socket_a_unit_is_never_ready(tmp_path, line)
 
 def test_a_start_that_is_stopped_while_a_cover_is_solved_is_no_failure(tmp_path, monkeypatch):
     (tmp_path / "palm.toml").write_text(CONFIG.format(channel="none"))
-    monkeypatch.setattr("tactiled.cli.run.prepared", lambda _: os.kill(os.getpid(), signal.SIGTERM))
+    monkeypatch.setattr("tactiled.cli.run.prepared", lambda *_: os.kill(os.getpid(), signal.SIGTERM))
     with handled(lambda *_: pytest.fail("not caught"), signal.SIGTERM):
         assert run("run", tmp_path / "palm.toml").exit_code == 0
 

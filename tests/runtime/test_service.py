@@ -17,7 +17,10 @@ def test_several_sensors_on_several_buses(request):
     index = palm.partition("[sensor.palm]")[2].replace('"packed"', '"packed", array_id = 3')
     thumb = CONFIG.format(channel=names[1]).replace("can0", "can1").replace("sensor.palm", "sensor.thumb")
     both = f"{palm}{thumb}[sensor.index]{index}"
-    service = Service(parse(both))
+    lines = []
+    service = Service(parse(both), report=lines.append)
+    solving = [f"{name}: solving the cover ({n} of 3)" for n, name in enumerate(("palm", "thumb", "index"), 1)]
+    assert lines == solving
     ends = {"can0": open_bus("virtual", channel=names[0]), "can1": open_bus("virtual", channel=names[1])}
     with service.running():
         for n, (name, sensor) in enumerate(service.sensors.items()):
