@@ -126,10 +126,11 @@ def _weighed(points: Points, means: Means, array: Array, noise: Floats, reach: F
     fitted = fit(summed, end, "linear")
     check_pressure("weight", float(fitted.parameters[0, 0]))
     count, places = summed.pressure.size, np.unique(summed.cluster).size
-    error = "unknown: lay it on again at another place"
+    half, error = np.nan, "unknown: lay it on again at another place"
     if places > 1:
         scatter = float(stdtrit(places - 1, 0.975) * fit(_by_place(summed), end, "linear").variance[0] ** 0.5)
-        error = f"±{100 * hypot(scatter, NORMAL_95 * BEYOND_ERROR * beyond):.2g} % by their scatter"
+        half = hypot(scatter, NORMAL_95 * BEYOND_ERROR * beyond)
+        error = f"±{100 * half:.2g} % by their scatter"
     unknown = np.full(array.size, np.nan)
     incomplete = np.isnan(points.counts[:, ~dead, 0].sum(axis=1))
     notes = (
@@ -144,7 +145,7 @@ def _weighed(points: Points, means: Means, array: Array, noise: Floats, reach: F
         f"95 % interval of the common gain {error}",
     )
     made = _made(fitted, {}, float(end[0]), means, summed, dead, unknown, np.nan)
-    return replace(made, notes=notes, force_n=points.pressure[usable])
+    return replace(made, notes=notes, force_n=points.pressure[usable], common_error=half)
 
 
 def _by_place(points: Points) -> Points:

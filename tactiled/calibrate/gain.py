@@ -66,6 +66,7 @@ class GainFit:
     alignment: Alignment | None = None
     notes: tuple[str, ...] = ()
     force_n: Floats | None = None  # (M,) known loads, of a force: `points.pressure` is over a taxel's area
+    common_error: float = np.nan  # half of the common gain's 95 % interval, relative, of a weight; NaN: unknown
 
 
 @unknown_taxels()

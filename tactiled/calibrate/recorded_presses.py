@@ -95,6 +95,18 @@ def _middle(frames: NDArray[np.floating]) -> NDArray[np.floating]:
     return frames[start : start + NOISE_FRAMES]
 
 
+def bend_error(calibration: Calibration, presses: list[Press]) -> float | None:
+    """Standard deviation of the bend of all taxels' curves at their range's end; None: unknown.
+
+    A bend is twice what it changes of the gain in the middle of the range. Beyond the range nobody measured it.
+    """
+    curves = calibration.curves
+    if curves is None or curves.curvature is None:
+        return None
+    highest = max(float(np.nanmax(each.mean)) for each in presses)
+    return None if highest > np.median(curves.pressure(curves.end)) else 2 * curves.curvature
+
+
 def gain_errors(calibration: Calibration, size: int) -> Floats:
     """Relative standard deviation (N,) of the taxels' gains, UNCALIBRATED_SPREAD where nobody measured it."""
     curves = calibration.curves

@@ -13,6 +13,7 @@ from tactiled.calibrate.cover_search import Touch
 from tactiled.calibrate.edge import edge_touch
 from tactiled.calibrate.frame_series import FrameSeries
 from tactiled.calibrate.recorded_presses import (
+    bend_error,
     gain_errors,
     noise_of,
     pressures,
@@ -62,6 +63,8 @@ def fit_touch(
     presses, dead = without_dead(
         recorded_presses(series, array, calibration, recorded.ends, border=way == "edge"), array
     )
+    if unknowns.curvature is None:
+        unknowns = replace(unknowns, curvature=bend_error(calibration, presses))
     touch: Touch
     if way == "edge":
         touch = edge_touch(presses, array, stack, gain_error, size_mm, unknowns)

@@ -32,14 +32,15 @@ class Unknowns:
     size_mm: float | None = None  # of the tip's diameter or the ridge's width; of a pad, how blurred its edge is
     aperture_mm: float | None = None
     poisson: float = POISSON_ERROR
-    curvature: float = CURVATURE_ERROR  # of all taxels' curves, over the highest reading
+    curvature: float | None = None  # of all taxels' curves, over the highest reading
     profile: float = PROFILE_ERROR  # of a tip's or ridge's pressure; 0 is even, -0.5 that of a rigid punch
 
     def deviations(self, array: Array, size: float, profile: float) -> Floats:
         """Deviations (S,) of what presses share; `size` and `profile` are those of the load."""
         usual = DEFAULT_APERTURE_ERROR if array.width >= array.pitch * (1 - 1e-9) else APERTURE_ERROR
         aperture = usual if self.aperture_mm is None else self.aperture_mm / array.width
-        return np.array([np.inf, size, aperture, self.poisson, self.curvature, profile])
+        bend = CURVATURE_ERROR if self.curvature is None else self.curvature
+        return np.array([np.inf, size, aperture, self.poisson, bend, profile])
 
 
 USUAL = Unknowns()

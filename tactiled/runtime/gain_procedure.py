@@ -43,7 +43,7 @@ class GainOutcome:
     file: CalibrationFile
     form: str
     kpa_per_count: float  # median over the taxels
-    interval_kpa_per_count: tuple[float, float] | None  # 95 %; None: unknown, of one weight laid on once
+    interval_kpa_per_count: tuple[float, float] | None  # 95 %; None: unknown, of a weight at one place
     before_kpa_per_count: float | None  # None: uncalibrated
     spread_percent: float | None
     hysteresis_percent: float | None
@@ -139,15 +139,16 @@ def _outcome(plan: SensorPlan, file: CalibrationFile, fitted: "GainFit") -> Gain
     live = np.setdiff1d(np.arange(curves.size), fitted.dead)
     gains = curves.gain[live]
     middle = live[np.argsort(gains)[gains.size // 2]]
-    gain, error = float(curves.gain[middle]), float(curves.deviation[middle])
-    ends = sorted(gain * (1 + side * NORMAL_95 * error) for side in (-1, 1))
+    gain, half = float(curves.gain[middle]), NORMAL_95 * float(curves.deviation[middle])
+    half = fitted.common_error if np.isnan(half) else half  # of a weight the taxels' own are unknown
+    ends = sorted(gain * (1 + side * half) for side in (-1, 1))
     hysteresis = curves.hysteresis[live]
     dead = [f"taxels without a response: {', '.join(map(str, fitted.dead))}"] if fitted.dead else []
     return GainOutcome(
         file=file,
         form=curves.form,
         kpa_per_count=gain,
-        interval_kpa_per_count=(ends[0], ends[1]) if np.isfinite(error) else None,
+        interval_kpa_per_count=(ends[0], ends[1]) if np.isfinite(half) else None,
         before_kpa_per_count=before,
         spread_percent=100 * fitted.spread if np.isfinite(fitted.spread) else None,
         hysteresis_percent=float(np.nanmedian(hysteresis)) if np.isfinite(hysteresis).any() else None,

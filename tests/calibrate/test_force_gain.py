@@ -1,5 +1,6 @@
 import re
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from tactiled.calibrate.reference import Reference
 from tactiled.cover.stack import Layer, Stack
 from tactiled.errors import ConfigError
 from tactiled.geometry import grid, layout
-from tactiled.runtime.gain_procedure import _gain_line
+from tactiled.runtime.gain_procedure import _gain_line, _outcome
 from tactiled.study.presses import KPA_PER_COUNT, Disc, simulated_skin
 from tests.calibrate.skins import FULL_KPA, RATE_HZ, Skin, contact
 
@@ -135,14 +136,21 @@ def test_what_the_cover_spreads_beyond_the_array_is_taken_into_account():
 
 def test_the_interval_of_a_weight_is_students_over_its_places():
     array, places = grid(14, 14, 1.0, 0.8), [(-3.0, 1.0), (2.0, -1.0)]
-    each = [weighed(array, [place], True, 0.4, 0.5).curves.gain[0] for place in places]
-    half = 12.706 * abs(each[0] - each[1]) / sum(each)
+    once = [weighed(array, [place], True, 0.4, 0.5) for place in places]
+    first, second = (each.curves.gain[0] for each in once)
+    half = 12.706 * abs(first - second) / (first + second)
+    outcomes = [_outcome(Mock(calibrated=False), None, once[0])]
     for again in (places, [*places, *places]):
-        note = weighed(array, again, True, 0.4, 0.5).notes[-1]
-        assert f"laid on {len(again)} times, at 2 places" in note
-        (printed,) = re.findall(r"±(\S+) %", note)
+        fit = weighed(array, again, True, 0.4, 0.5)
+        assert f"laid on {len(again)} times, at 2 places" in fit.notes[-1]
+        (printed,) = re.findall(r"±(\S+) %", fit.notes[-1])
         assert float(printed) / 100 == pytest.approx(half, rel=0.1)
-    assert "unknown: lay it on again" in weighed(array, places[:1], True, 0.4, 0.5).notes[-1]
+        outcomes.append(_outcome(Mock(calibrated=False), None, fit))
+    assert "unknown: lay it on again" in once[0].notes[-1]
+    intervals = [each.interval_kpa_per_count for each in outcomes]
+    assert intervals[0] is None
+    for low, high in intervals[1:]:
+        assert (high - low) / (first + second) == pytest.approx(half, rel=0.1)
 
 
 def test_a_weight_that_was_laid_on_the_border_once_is_left_out():

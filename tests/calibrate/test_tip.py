@@ -6,8 +6,10 @@ from functools import cache
 import numpy as np
 import pytest
 
+from tactiled.calibrate import recorded_touch
 from tactiled.calibrate.calibration import Calibration
 from tactiled.calibrate.cover_result import ENDS, _reason, fit_cover
+from tactiled.calibrate.curves import Curves
 from tactiled.calibrate.frame_series import FrameSeries
 from tactiled.calibrate.recorded_presses import without_dead
 from tactiled.calibrate.recorded_touch import RecordedTouch, fit_touch
@@ -137,6 +139,28 @@ def test_dead_taxels_that_nobody_listed_are_left_out_and_named():
     assert fit.thickness_mm == pytest.approx(1.0, rel=0.02)
     advice = "feels nothing where its neighbours do and is left out: list it as dead"
     assert fit.notes[:3] == tuple(f"taxel {each} {advice}" for each in sorted(dead))
+
+
+@pytest.mark.parametrize(("full_kpa", "expected"), [(120.0, 0.02), (80.0, None)])
+def test_the_bend_of_the_curves_is_known_as_their_calibration_says_within_its_range(
+    monkeypatch, full_kpa, expected
+):
+    array, random = grid(8, 8, 1.0), np.random.default_rng(2)
+    tips = np.array([world_of(array, 1.0).tip(0.8, each) for each in array.positions[[18, 27, 36]]])
+    counts = np.round(recorded(tips, random, noise=0.5) / 0.05 + 100)
+    reach, exact, own = np.tile([0.0, full_kpa / 0.05], (64, 1)), np.full(64, 1e-3), np.ones(64, bool)
+    curves = Curves("linear", np.full((64, 1), 0.05), reach, exact, exact, own, curvature=0.01)
+    one = RecordedTouch(
+        FrameSeries(np.arange(len(counts)) / 100, counts), array, rubber(1.0),
+        Calibration(0.05, 100, curves=curves), (0, 4095),
+    )  # fmt: skip
+
+    def tip_touch(*arguments):
+        raise ConfigError(f"bend known to {arguments[-1].curvature}")
+
+    monkeypatch.setattr(recorded_touch, "tip_touch", tip_touch)
+    with pytest.raises(ConfigError, match=f"bend known to {expected}"):
+        fit_touch(one, "tip", 1.6)
 
 
 @pytest.mark.parametrize("tip_mm", [0.5, 4.0])

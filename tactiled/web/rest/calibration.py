@@ -105,7 +105,7 @@ class GainResult(schemas.Schema):
     form: str = Field(description="of the curves: linear, power, cubic or spline", examples=["linear"])
     kpa_per_count: float = Field(description="median over the taxels", examples=[0.051])
     interval_kpa_per_count: Interval | None = Field(
-        description="null: unknown, of a weight laid on once", examples=[[0.0505, 0.0515]]
+        description="null: unknown, of a weight laid at one place", examples=[[0.0505, 0.0515]]
     )
     before_kpa_per_count: float | None = Field(description="null: counts had no scale", examples=[0.05])
     spread_percent: float | None = Field(
