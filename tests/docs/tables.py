@@ -90,15 +90,10 @@ def settings():
         yield from ("", f"### `{name}`", "", *table(KEYS, rows(model)))
 
 
-@is_table("`codec.name`", "Skin", "Settings")
+@is_table("`codec.name`", "Skin")
 def codecs():
     for name in skins.BUILT_IN:
-        model = skins.load(name)
-        yield (
-            code(name),
-            model.__doc__.splitlines()[0],
-            codes(TypeAdapter(model).json_schema()["properties"]) or "–",
-        )
+        yield code(name), skins.load(name).__doc__.splitlines()[0]
 
 
 @is_block
@@ -121,21 +116,25 @@ def operations():
             yield code(f"{verb.upper()} {path.removeprefix('/api/v1')}"), operation
 
 
-@is_table("Request", "Answer", "Status codes")
+@is_table("Request", "Answer")
 def routes():
     for request, each in operations():
-        yield request, " ".join(each["description"].split()), ", ".join(sorted(each["responses"]))
+        yield request, " ".join(each["description"].split())
 
 
 @is_table("Request", "Parameter", "Value", "Default", "Meaning")
 def parameters():
+    """One row for each parameter, with all requests that have it in this form."""
+    requests = {}
     for request, operation in operations():
         for each in operation.get("parameters", ()):
             if each["in"] == "query":
                 schema = {"default": None} | each["schema"] if not each["required"] else each["schema"]
                 value = form(schema) + (f" such as {code(schema['examples'][0])}" if "examples" in schema else "")
-                cells = code(each["name"]), value, default(schema), sentence(each["description"])
-                yield request, *cells
+                row = code(each["name"]), value, default(schema), sentence(each["description"])
+                requests.setdefault(row, []).append(request)
+    for (name, *cells), alike in requests.items():
+        yield ", ".join(alike), name, *cells
 
 
 @is_table("Parameter", "Value", "Default", "Meaning")
@@ -159,7 +158,8 @@ def metrics():
     ]
     types = {words[2]: words[3] for words in lines if words[:2] == ["#", "TYPE"]}
     for name, text in (words[2:] for words in lines if words[:2] == ["#", "HELP"]):
-        yield code(name), types[name], sentence(text)
+        if name.startswith("tactiled_"):
+            yield code(name), types[name], sentence(text)
 
 
 @is_table("Offset", "Type", "Meaning")
