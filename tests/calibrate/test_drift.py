@@ -8,6 +8,8 @@ import pytest
 from tactiled.calibrate.blocks import Blocks, TaxelNoise
 from tactiled.calibrate.drift import MAX_RATE, DriftTracker, State, Surroundings, reach_mm
 from tactiled.calibrate.neighbourhood import Neighbourhood
+from tactiled.diagnostics.checks import FrameChecks
+from tactiled.restore.methods import make
 from tests.plans import plan
 
 SIDE, FULL_SCALE, NO_LOAD = 24, 3900.0, 100.0  # taxels, counts, counts
@@ -114,6 +116,22 @@ def test_zeros_follow_an_array_that_warms_up_while_it_is_touched(foot):
     run.play(300, lambda t: warm(900 + t))
     assert np.abs(run.error).max() < 0.002
     assert (run.tracker.state == State.FREE).all()
+
+
+def test_an_array_that_warms_up_too_fast_to_be_followed_is_told_to_be_tared_until_it_is():
+    """By 8 % of full scale in a minute: one that lies still all over the array looks the same."""
+    run = Run(plan((12, 12), 1.0))
+    run.tracker = DriftTracker(run.skin.array, reach_mm(run.skin.kernel), FULL_SCALE)
+    run.tracker.reset(run.no_load)
+    sigma, sound = NOISE * FULL_SCALE, np.zeros((12, 12), np.uint8)
+    restore, checks = make("auto", run.skin.blur, sigma), FrameChecks(run.skin.blur)
+    run.play(30)
+    for began in (0, 30, 60, 90):
+        run.play(30, lambda t, began=began: 0.08 * min((began + t) / 60, 1.0))
+        frame = (FULL_SCALE * run.error + run.random.normal(0, sigma, 144)).reshape(12, 12).astype(np.float32)
+        image = restore(frame, sound).image
+        assert "offset" in checks.check(frame, sound, image, sigma)
+    assert np.median(run.error) > 0.07
 
 
 def test_a_slow_load_on_most_of_the_array_is_no_warming():
