@@ -1,4 +1,4 @@
-"""What a cover's parameters change, by the exact solution, and Young's modulus of a Shore hardness."""
+"""What a cover's parameters change, by the exact solution."""
 
 import numpy as np
 
@@ -35,20 +35,3 @@ def cover_sensitivity():
         largest = change[np.abs(change).argmax()]
         text = f"{largest:+.0f} %" if abs(largest) >= 0.5 else "none"
         yield name, *(f"{each:.3f}" for each in values), "–" if layers == (SILICONE, BOARD) else text
-
-
-def gent_mpa(shore_a):
-    """Gent 1958: a rigid cylinder pressed in by the gauge's spring of 56 + 7.66 S grams."""
-    return 0.0981 * (56 + 7.66 * shore_a) / (0.137505 * (254 - 2.54 * shore_a))
-
-
-def ruess_mpa(shore_a):
-    """Ruess' fit to measured rubbers: log10 E = 0.0235 S - 0.6403."""
-    return 10 ** (0.0235 * shore_a - 0.6403)
-
-
-@is_table("Shore A", "MPa by Gent", "MPa by Ruess", "Ruess / Gent")
-def shore_a():
-    for hardness in range(10, 100, 10):
-        gent, ruess = gent_mpa(hardness), ruess_mpa(hardness)
-        yield f"{hardness}", f"{gent:.1f}", f"{ruess:.1f}", f"{ruess / gent:.1f}"
