@@ -116,25 +116,11 @@ def operations():
             yield code(f"{verb.upper()} {path.removeprefix('/api/v1')}"), operation
 
 
-@is_table("Request", "Answer")
+@is_table("Request", "Parameters", "Answer")
 def routes():
     for request, each in operations():
-        yield request, " ".join(each["description"].split())
-
-
-@is_table("Request", "Parameter", "Value", "Default", "Meaning")
-def parameters():
-    """One row for each parameter, with all requests that have it in this form."""
-    requests = {}
-    for request, operation in operations():
-        for each in operation.get("parameters", ()):
-            if each["in"] == "query":
-                schema = {"default": None} | each["schema"] if not each["required"] else each["schema"]
-                value = form(schema) + (f" such as {code(schema['examples'][0])}" if "examples" in schema else "")
-                row = code(each["name"]), value, default(schema), sentence(each["description"])
-                requests.setdefault(row, []).append(request)
-    for (name, *cells), alike in requests.items():
-        yield ", ".join(alike), name, *cells
+        names = codes(one["name"] for one in each.get("parameters", ()) if one["in"] == "query")
+        yield request, names, " ".join(each["description"].split())
 
 
 @is_table("Parameter", "Value", "Default", "Meaning")

@@ -120,7 +120,7 @@ def test_the_index_and_the_readme_name_every_page():
 
 
 def test_the_readme_is_short():
-    assert len(README.read_text("utf-8").splitlines()) <= 300
+    assert len(README.read_text("utf-8").splitlines()) <= 200
 
 
 @by_page
