@@ -34,7 +34,7 @@ class FitProcess:
             with sender, self._lock:
                 if self._cancelled:
                     raise Cancelled
-                work = SPAWN.Process(target=_work, args=(sender, function, *arguments), daemon=True)
+                work = patient_process(send_outcome, sender, function, *arguments)
                 work.start()
                 self._process = work
             try:
@@ -61,14 +61,8 @@ def start(function: Callable[..., object], *arguments: object) -> Connection:
     """Run a module's function that nobody waits for; its outcome and error (one None) come together."""
     receiver, sender = SPAWN.Pipe(duplex=False)
     with sender:
-        SPAWN.Process(target=_work, args=(sender, function, *arguments), daemon=True).start()
+        patient_process(send_outcome, sender, function, *arguments).start()
     return receiver
-
-
-def _work(sender: Connection, function: Callable[..., object], *arguments: object) -> None:
-    """Run one function in a process of its own."""
-    with be_patient():
-        send_outcome(sender, function, *arguments)
 
 
 def send_outcome(sender: Connection, function: Callable[..., object], *arguments: object) -> None:
@@ -79,8 +73,13 @@ def send_outcome(sender: Connection, function: Callable[..., object], *arguments
         sender.send((None, error))
 
 
-def be_patient() -> threadpool_limits:
-    """Have this process wait for frames, and not frames for it."""
+def patient_process(work: Callable[..., None], *arguments: object) -> multiprocessing.process.BaseProcess:
+    """A process, yet to be started, that waits for frames, and not frames for it."""
+    return SPAWN.Process(target=_work_patiently, args=(NICENESS, work, *arguments), daemon=True)
+
+
+def _work_patiently(niceness: int, work: Callable[..., None], *arguments: object) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the service, which ends its daemons
-    os.nice(NICENESS)
-    return threadpool_limits(1)
+    os.nice(niceness)
+    with threadpool_limits(1):
+        work(*arguments)

@@ -7,7 +7,7 @@ from multiprocessing.process import BaseProcess
 from threading import Lock
 from typing import TypeVar, TypeVarTuple, cast
 
-from tactiled.runtime.fit_process import SPAWN, be_patient, send_outcome
+from tactiled.runtime.fit_process import SPAWN, patient_process, send_outcome
 
 IDLE_S = 60.0  # without work until it ends
 Arguments = TypeVarTuple("Arguments")
@@ -42,7 +42,7 @@ class SideProcess:
         if self._pipe is None:
             self._pipe, other = SPAWN.Pipe()
             with other:
-                self._process = SPAWN.Process(target=_work, args=(other, self._idle_s), daemon=True)
+                self._process = patient_process(_work, other, self._idle_s)
                 self._process.start()
         self._pipe.send(work)
         answer: tuple[object, Exception | None] = self._pipe.recv()
@@ -61,6 +61,6 @@ class SideProcess:
 
 def _work(pipe: Connection, idle_s: float) -> None:
     """Do what comes until nothing has come for so long, or the service has ended."""
-    with be_patient(), suppress(EOFError, OSError):
+    with suppress(EOFError, OSError):
         while pipe.poll(idle_s):
             send_outcome(pipe, *pipe.recv())
