@@ -7,6 +7,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -132,6 +133,11 @@ class Target:
         """Open files and sockets."""
         return sum(1 for _ in Path(f"/proc/{self.process.pid}/fd").iterdir())
 
+    def children_s(self):
+        """Processor time (s) of the processes that it started, of ended ones, too."""
+        own = _times_s(self.process.pid)[2:]
+        return sum(own, sum(sum(_times_s(pid)) for pid in _descendants(self.process.pid)))
+
     def close(self):
         """Leave nothing behind."""
         for process in filter(None, (self._skin, self.process)):
@@ -145,6 +151,23 @@ class Target:
         settings = os.environ | {"OPENBLAS_NUM_THREADS": "1", "PYTHONUNBUFFERED": "1"}
         with self.log.open("ab") as log:
             return subprocess.Popen(shell, stdin=subprocess.DEVNULL, stdout=log, stderr=log, env=settings)
+
+
+def _descendants(pid):
+    """The processes that a process, or one of them, has started, and that have not ended."""
+    for file in Path(f"/proc/{pid}/task").glob("*/children"):
+        with suppress(OSError):
+            for child in file.read_text().split():
+                yield child
+                yield from _descendants(child)
+
+
+def _times_s(pid):
+    """User and system time (s) of a process, and of its ended children; nothing if it has ended."""
+    with suppress(OSError):
+        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+        return [int(each) / os.sysconf("SC_CLK_TCK") for each in fields[11:15]]
+    return []
 
 
 class Pool(dict[Kind, Target]):
