@@ -1,5 +1,6 @@
 """README and guide: printed blocks and tables of names agree with the code, links lead somewhere."""
 
+import ast
 import re
 import tomllib
 from typing import get_args
@@ -139,3 +140,30 @@ def test_the_package_has_the_guide_and_the_examples():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
     files = project["tool"]["setuptools"]["package-data"]["tactiled"]
     assert {"docs/**", "config/examples/**"} <= {*files}
+
+
+def definitions(path):
+    """Functions, classes, methods and constants of a file, as `name` or `Class.name`."""
+    text = path.read_text("utf-8")
+    if path.suffix == ".js":
+        parts = re.split(r"^export class (\w+).*\{$", text, flags=re.MULTILINE)
+        yield from re.findall(r"^export (?:const|(?:async )?function) (\w+)", parts[0], re.MULTILINE)
+        for owner, body in zip(parts[1::2], parts[2::2], strict=True):
+            yield from (
+                f"{owner}.{name}" for name in re.findall(r"^  (?:async )?(\w+)\(.*\{$", body, re.MULTILINE)
+            )
+        return
+    for node in ast.parse(text).body:
+        if isinstance(node, ast.ClassDef):
+            methods = (each for each in node.body if isinstance(each, ast.FunctionDef | ast.AsyncFunctionDef))
+            yield from (f"{node.name}.{each.name}" for each in methods)
+        elif isinstance(node, ast.Assign):
+            yield from (each.id for each in node.targets if isinstance(each, ast.Name))
+        elif isinstance(node, ast.FunctionDef):
+            yield node.name
+
+
+def test_every_name_on_the_way_of_a_frame_is_in_its_file():
+    names = re.findall(r"`([\w/]+\.(?:py|js))::([\w.]+)`", read("frame.md"))
+    assert len(names) == read("frame.md").count("::") > 40
+    assert not [f"{path}::{name}" for path, name in names if name not in definitions(ROOT / "tactiled" / path)]
