@@ -114,7 +114,9 @@ class Image:
     sequence: int
     time: float  # s, of the frame's first message
     raw: NDArray[np.float32]  # in `unit`, (R, C) for a grid, (N,) for any other layout; NaN where nothing is known
-    restored: NDArray[np.float32]  # in `unit`, (R k, C k) for a grid refined k times, (N,) otherwise; never NaN
+    restored: NDArray[
+        np.float32
+    ]  # in `unit`, (R k, C k) for a grid refined k times, (N,) otherwise; NaN where unknown
     flags: NDArray[np.uint8]  # the raw image's shape: of FLAG_BITS
     method: str  # what ran: idle, raw, wiener, rl, nnls, ...
     why: str  # why it was chosen
@@ -130,6 +132,12 @@ class Image:
     unit: Unit = PRESSURE  # of raw, restored and noise: counts without a calibration
     calibration: str = CONFIGURED  # id of the calibration file that it was made with: 12 hex digits
     times: StageTimes | None = None  # None where it was made elsewhere
+    shares: NDArray[np.float32] | None = None  # of each cell, by `contacts.felt`; None where no message is lost
+
+    @property
+    def noise_known(self) -> bool:
+        """Whether the noise was measured, or is configured."""
+        return all(each.code != NOISE_UNKNOWN for each in self.warnings)
 
     @property
     def cell_noise(self) -> float:
@@ -138,7 +146,7 @@ class Image:
         Then all that the taxels show may be noise.
         """
         noise = self.noise
-        if any(each.code == NOISE_UNKNOWN for each in self.warnings):
+        if not self.noise_known:
             finite = self.raw[np.isfinite(self.raw)].astype(float)
             noise = max(noise, UNSURE * float(np.median(np.abs(finite))) if finite.size else 0.0)
         return noise * max(self.noise_gain, 1.0)

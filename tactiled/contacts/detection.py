@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
+from tactiled.contacts.felt import is_known
 from tactiled.geometry import Array, Cells
 from tactiled.units import FORCE_SCALES, PRESSURE, Unit
 
@@ -64,13 +65,19 @@ class Finder:
         self._near = 2 * round(NEAR_PITCHES * array.pitch / cells.side) + 1  # squares
 
     def __call__(
-        self, image: NDArray[np.float32], noise: float, unit: Unit = PRESSURE, faint: bool = False
+        self,
+        image: NDArray[np.float32],
+        noise: float,
+        unit: Unit = PRESSURE,
+        faint: bool = False,
+        shares: NDArray[np.float32] | None = None,
     ) -> list[Contact]:
         """Contacts of an image (in `unit`), the strongest first, all with id 0; `noise` is a cell's.
 
-        With `faint` also those too faint to begin, which one that has begun may have become.
+        With `faint` also those too faint to begin, which one that has begun may have become. None of which too
+        little is left, by the `shares` of the cells.
         """
-        pressure = np.asarray(image, float).ravel()
+        pressure = np.nan_to_num(np.asarray(image, float).ravel())
         begin, go_on = BEGIN_SIGMAS * noise, CONTINUE_SIGMAS * noise
         peak = float(pressure.max(initial=0.0))
         if peak <= (go_on if faint else begin):
@@ -88,9 +95,14 @@ class Finder:
         parts[picture <= np.maximum(SKIRT_SHARE * np.maximum(highest, tops[parts]), threshold[parts])] = 0
         pressed, skirts = parts[self._middle], expand_labels(parts, self._squares_a_cell)[self._middle]
         scale = FORCE_SCALES[unit]
+        numbers = np.unique(pressed[pressed > 0]).tolist()
+        if shares is not None:
+            left = shares.ravel()
+            whole = (n for n in numbers if is_known(left[skirts == n]).all())  # no unknown cell cuts it off
+            numbers = [n for n in whole if is_known(left[pressed == n].mean(), summed=True)]
         contacts = [
             self._measure(pressure, scale, *(np.flatnonzero(each == n) for each in (pressed, skirts)))
-            for n in np.unique(pressed[pressed > 0])
+            for n in numbers
         ]
         return sorted(contacts, key=lambda contact: -contact.force)
 

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
+from tactiled.contacts.felt import is_known
 from tactiled.frames import Image
 from tactiled.geometry import Cells
 from tactiled.units import FORCE_SCALES, FORCE_UNITS, Unit
@@ -78,6 +79,9 @@ class Measures(NamedTuple):
     area: float  # mm2 in contact
 
 
+NOT_KNOWN = Measures(*4 * (np.nan,))
+
+
 def measure_units(unit: Unit) -> dict[str, str]:
     """Units of images in a unit, by the fields of Measures."""
     return dict(zip(Measures._fields, (FORCE_UNITS[unit], unit, unit, "mm2"), strict=True))
@@ -91,15 +95,20 @@ class RegionMeter:
         self._areas = cells.areas[self._cells]
 
     def __call__(self, image: Image) -> Measures:
-        """What an image holds in the region."""
+        """What an image holds in the region; nothing is known where too little of it is left."""
         noise, areas = image.cell_noise, self._areas
         pressure = image.restored.reshape(-1)[self._cells]
-        measured = ~np.isnan(pressure) & np.isfinite(image.raw).any()
-        if not measured.all():
+        if image.shares is not None and not self._is_known(image.shares):
+            return NOT_KNOWN
+        if not (measured := ~np.isnan(pressure)).all():
             pressure, areas = pressure[measured], areas[measured]
         if not len(pressure):
-            return Measures(*4 * (np.nan,))
+            return NOT_KNOWN
         force = float(pressure @ areas)
         peak = float(pressure.max(initial=-inf))
         contact = float(areas[pressure > CONTACT_SIGMAS * noise].sum())
         return Measures(force * FORCE_SCALES[image.unit], force / float(areas.sum()), peak, contact)
+
+    def _is_known(self, shares: NDArray[np.float32]) -> bool:
+        """Whether enough of the region is left, by the shares of all cells."""
+        return bool(is_known(np.average(shares.reshape(-1)[self._cells], weights=self._areas), summed=True))

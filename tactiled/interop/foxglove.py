@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from tactiled.build import SensorPlan
 from tactiled.contacts.detection import OUTLINE_SIGMAS, Contact
-from tactiled.contacts.regions import Measures
+from tactiled.contacts.regions import Measures, RegionMeter
 from tactiled.errors import ConfigError
 from tactiled.frames import Image, Message
-from tactiled.units import COUNTS, FORCE_SCALES, FORCE_UNITS, M_PER_MM, PRESSURE, Unit, force_text, nanoseconds
+from tactiled.units import COUNTS, FORCE_UNITS, M_PER_MM, PRESSURE, Unit, force_text, nanoseconds
 
 try:
     from foxglove import messages
@@ -144,7 +144,7 @@ class Topics:
         self._restored = _Surface(f"/{name}/restored", shape, plan.cells.positions, cell_mm, pressure)
         shear = ("shear_x_counts", "<f4"), ("shear_y_counts", "<f4")
         self._shear = _Surface(f"/{name}/shear", *taxels, *shear) if plan.shears else None
-        self._areas = FORCE_SCALES[self.unit] * plan.cells.areas.astype(np.float32)
+        self._total = RegionMeter(None, plan.cells)
         status = _json_topic(
             f"/{name}/status", "tactiled status", STATUS | self._calibrated(dict.fromkeys(CALIBRATED, NUMBER))
         )
@@ -157,14 +157,14 @@ class Topics:
 
     def messages(self, image: Image) -> list[bytes]:
         """One image, which is in `unit`, with all that is known of it: a message for each of the topics."""
+        total = self._total(image)
         status = {key: getattr(image, key) for key in STATUS if hasattr(image, key)} | {
-            "force": float(np.dot(self._areas, image.restored.reshape(-1))),
-            "peak": float(image.restored.max(initial=0)),
+            **{key: value for key, value in total._asdict().items() if key in STATUS and value == value},
             "force_unit": FORCE_UNITS[self.unit],
             "loss": asdict(image.loss),
             "warnings": [asdict(each) for each in image.warnings],
         }
-        status |= self._calibrated({key: status[name] for key, name in CALIBRATED.items()})
+        status |= self._calibrated({key: status[name] for key, name in CALIBRATED.items() if name in status})
         encoded = [
             self._raw.message(image.time, **{self._pressure: image.raw}, flags=image.flags),
             self._restored.message(image.time, **{self._pressure: image.restored}),

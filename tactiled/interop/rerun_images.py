@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 
 from tactiled.build import SensorPlan
 from tactiled.contacts.detection import OUTLINE_SIGMAS, Contact
-from tactiled.contacts.regions import Measures
+from tactiled.contacts.regions import Measures, RegionMeter
 from tactiled.frames import Image
 from tactiled.geometry import tiling
-from tactiled.units import FORCE_SCALES, FORCE_UNITS, force_text
+from tactiled.units import FORCE_UNITS, force_text
 
 CIRCLE = np.exp(1j * np.linspace(0, 2 * np.pi, 33))  # an outline's corners, x + i y
 CLASSES = [(0, "data", (0, 0, 0, 0)), (1, "no data", (70, 70, 70, 255))]  # of squares, and their colours (RGBA)
@@ -39,7 +39,7 @@ class SensorLog:
     def __init__(self, stream: rr.RecordingStream, plan: SensorPlan) -> None:
         self._stream, self._plan = stream, plan
         self._maps = {"raw": tiling(plan.array), "restored": plan.cells}
-        self._areas = FORCE_SCALES[plan.unit] * plan.cells.areas.astype(np.float32)
+        self._total = RegionMeter(None, plan.cells)
         self._peak = 0.0  # the highest so far
         self._unknown: dict[str, NDArray[np.bool_]] = {}  # of each map's last picture
         self._warnings: dict[str, str] = {}  # texts of the last image's, by code
@@ -57,13 +57,13 @@ class SensorLog:
         """Log one image and the contacts in it."""
         self._stream.set_time("time", timestamp=image.time)
         self._stream.set_time("frame", sequence=image.sequence)
-        force, peak = float(self._areas @ image.restored.ravel()), float(image.restored.max(initial=0))
+        total = self._total(image)
         for name, values in (("raw", image.raw), ("restored", image.restored)):
             self._add_map(name, self._maps[name].picture(values))
-        self._scale(max(peak, float(np.nanmax(image.raw, initial=0))))
+        self._scale(max(float(np.nanmax(each, initial=0)) for each in (image.restored, image.raw)))
         self._log("contacts", self._outlines(contacts))
-        self._log("force", rr.Scalars(force))
-        self._log("peak", rr.Scalars(peak))
+        self._log("force", rr.Scalars(total.force))
+        self._log("peak", rr.Scalars(total.peak))
         warnings = {each.code: each.text for each in image.warnings}
         for code in [each for each in warnings if each not in self._warnings]:
             self._log("warnings", rr.TextLog(warnings[code], level=rr.TextLogLevel.WARN))

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from tactiled.build import SensorPlan
 from tactiled.config import ros_name
 from tactiled.contacts.detection import OUTLINE_SIGMAS, Contact
-from tactiled.contacts.regions import Measures
+from tactiled.contacts.regions import Measures, RegionMeter
 from tactiled.frames import Image
 from tactiled.geometry import tiling
 from tactiled.interop.ros_types import LATCHED, RELIABLE, SENSOR_DATA, Types
-from tactiled.units import FORCE_SCALES, FORCE_UNITS, M_PER_MM, PRESSURE, force_text, nanoseconds
+from tactiled.units import FORCE_UNITS, M_PER_MM, PRESSURE, force_text, nanoseconds
 
 DIAGNOSTICS_EVERY_S = 1.0  # at least, as ROS's diagnostic_updater by default
 DISC_M, LABEL_M = 5e-5, 1e-3  # height of that disc, and of its text
@@ -48,7 +48,7 @@ class Topics:
 
     def __init__(self, plan: SensorPlan) -> None:
         self.types, self._plan, self._name, self._taxels = Types(), plan, ros_name(plan.name), tiling(plan.array)
-        self._areas = FORCE_SCALES[plan.unit] * plan.cells.areas.astype(np.float32)
+        self._total = RegionMeter(None, plan.cells)
         self._diagnosed: tuple[tuple[str, ...], float] = (), -inf  # codes of warnings, and when (s)
         own = {"shear": plan.shears, "wrench": plan.unit == PRESSURE, "/tf_static": plan.pose is not None}
         self.topics = [name for name in TOPICS if own.get(name, True)]
@@ -105,7 +105,8 @@ class Topics:
     def _tactile_fields(self, image: Image, contacts: tuple[Contact, ...]) -> Fields:
         """All that a frame's arrays and numbers are, with their units."""
         rows, columns = self._plan.array.shape or (0, 0)
-        sums = {"force": self._areas @ image.restored.ravel(), "peak": image.restored.max(initial=0)}
+        total = self._total(image)
+        sums = {"force": total.force, "peak": total.peak}
         arrays = {"rows": rows, "columns": columns, "raw": image.raw.ravel(), "flags": image.flags.ravel()}
         about = {"sequence": image.sequence, "noise": image.noise, "method": image.method}
         about["warnings"] = [each.code for each in image.warnings]

@@ -25,7 +25,7 @@ from tactiled.restore.window import Windowed, fits
 RL_ITERATIONS = 30  # of Richardson-Lucy, at most
 FAST_RL_ITERATIONS = 24  # 30 are 1 % better at 16 squared, and take over five times the median at times
 BY_HAND = "selected by hand"
-NO_DATA = "no taxel has data, and the image is zero"
+NO_DATA = "no taxel has data, and nothing is known"
 NO_POINTS = "not a few point loads; used NNLS"
 NOT_TRAINED = "the network was trained on grids of eight taxels a side, one cell each: restored by nnls"
 NO_AREA = "total variation needs neighbours in a grid: restored by nnls"

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from tactiled.build import SensorPlan
 from tactiled.calibrate.calibration import Calibrator
+from tactiled.contacts.felt import is_known, shares
 from tactiled.errors import ConfigError
-from tactiled.frames import DEAD, SATURATED
+from tactiled.frames import DEAD, MISSING, SATURATED
 from tactiled.restore.methods import make
 from tactiled.restore.noise import IMPLAUSIBLE_KPA, estimate, noise_ratio
 
@@ -100,7 +101,7 @@ class Offline:
         noise_kpa: float | None = None,
         go_on: Callable[[], None] = lambda: None,
     ) -> None:
-        self._frames, self._go_on = frames, go_on
+        self._frames, self._go_on, self._blur = frames, go_on, plan.blur
         self.shape = (len(frames), *plan.blur.surface_shape)  # of the images
         calibration, calibrator = plan.calibration, Calibrator(plan.calibration, plan.array.size)
         gain = abs(calibration.kpa_per_count)
@@ -149,4 +150,7 @@ class Offline:
         done = self._restorer(pressure, flags)
         microseconds = 1e6 * (perf_counter() - began)
         out[...] = done.image
+        share = shares(np.where(np.isfinite(pressure), flags, np.uint8(MISSING)), self._blur)
+        if share is not None:
+            out[~is_known(share)] = np.nan
         return FrameInfo(done.method, done.why, done.iterations, round(microseconds, 1))

@@ -15,6 +15,7 @@ from tactiled.build import SensorPlan
 from tactiled.calibrate.calibration import Calibrator
 from tactiled.calibrate.monitor import SkinMonitor
 from tactiled.calibrate.tare import Zero, blocks, load_description, own_noise, robust_mean
+from tactiled.contacts.felt import is_known, shares
 from tactiled.diagnostics.checks import FrameChecks
 from tactiled.diagnostics.warning_codes import WarningCode, warning
 from tactiled.frames import FLAG_BITS, UNKNOWN, FrameWarning, Image, RawFrame, StageTimes
@@ -139,7 +140,7 @@ class Pipeline:
             restorer = self._deviation[1]
             restorer.weigh(self._noise_ratio)
             restorer(image.raw, image.flags)
-            return restorer.deviation().astype(np.float32)
+            return np.where(np.isnan(image.restored), np.nan, restorer.deviation()).astype(np.float32)
 
     def forces(self, frame: RawFrame) -> NDArray[np.float64] | None:
         """Force (N, 3) in N on each taxel, along x and y and into the skin, as sensed; None unless all are known.
@@ -175,7 +176,7 @@ class Pipeline:
             self._restorer.weigh(ratio)
 
     def process(self, frame: RawFrame, budget_s: float = inf, came: tuple[float, float] | None = None) -> Image:
-        """Image of one frame; `restored` is never NaN, and everything known against it is a flag or a warning.
+        """Image of one frame; everything known against it is NaN, a flag or a warning.
 
         Restoring it ends after `budget_s` of processor time with the best image until then, where its method can.
         `came` is when it arrived and was assembled (s, monotonic); None: now.
@@ -273,11 +274,15 @@ class Deadline:
 
 def make_image(plan: SensorPlan, frame: RawFrame, done: Restored, **others: Any) -> Image:
     """The image of a frame as it was restored; `others` are the fields that neither of them has."""
+    restored, share = done.image.copy(), shares(others["flags"], plan.blur)
+    if share is not None:
+        restored[~is_known(share)] = np.nan
     return Image(
         sensor=plan.name,
         sequence=frame.sequence,
         time=frame.time,
-        restored=done.image.copy(),
+        restored=restored,
+        shares=share,
         method=done.method,
         why=done.why,
         iterations=done.iterations,

@@ -132,13 +132,15 @@ class Playback:
 
     def _check(self, number: int, method: str) -> tuple[WarningCode, ...]:
         image = self.image(number, method)
+        if image.shares is not None:
+            return ()  # what is unknown shows nothing
         noisy = None if self._noise_ratio is None else (self._noise_ratio > 1).reshape(image.flags.shape)
         doubtful = image.flags if noisy is None else image.flags | noisy
         return self._checks.check(image.raw, doubtful, image.restored, self.noise, image.method)
 
     def contacts(self, image: Image) -> tuple[Contact, ...]:
         """Contacts of an image, strongest first, numbered from 1: there is no frame before to follow them from."""
-        contacts = self._finder(image.restored, image.cell_noise, image.unit)
+        contacts = self._finder(image.restored, image.cell_noise, image.unit, shares=image.shares)
         return tuple(replace(each, id=n) for n, each in enumerate(contacts, 1))
 
     def overview(self) -> Overview:

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from tactiled.build import SensorPlan
 from tactiled.calibrate.tare import Zero
 from tactiled.contacts.regions import Measures, Region, RegionMeter
+from tactiled.frames import MISSING
 from tactiled.runtime.fit_process import Cancelled, FitProcess
 from tactiled.runtime.playback import MAX_POINTS, Playback, noise_frames
 from tactiled.runtime.recorded_frames import FLUSH_S, FrameFiles, RecordedFrames, SharedFile, check_goes_on
@@ -44,9 +45,9 @@ class SeriesJob:
 
     @property
     def row(self) -> np.dtype[Any]:
-        """Of a frame: its position, s, and the measures (K, 4) of the array and its regions."""
-        areas = 1 + len(self.regions)
-        return np.dtype([("position", "<f8"), ("values", "<f4", (areas, len(Measures._fields)))])
+        """Of a frame: position, s; taxels that did not arrive; measures (K, 4) of the array and its regions."""
+        values = 1 + len(self.regions), len(Measures._fields)
+        return np.dtype([("position", "<f8"), ("missing", "<i8"), ("values", "<f4", values)])
 
 
 def write_measures(job: SeriesJob, target: SharedFile) -> None:
@@ -57,7 +58,8 @@ def write_measures(job: SeriesJob, target: SharedFile) -> None:
     row, parent, flushed = np.zeros((), job.row), os.getppid(), time.monotonic()
     for number in range(count):
         image = playback.image(number, job.method)
-        row["position"], row["values"] = image.arrived, [each(image) for each in meters]
+        row["position"], row["missing"] = image.arrived, np.count_nonzero(image.flags & MISSING)
+        row["values"] = [each(image) for each in meters]
         target.write(row.tobytes())
         if time.monotonic() - flushed > FLUSH_S:
             target.flush()

@@ -10,8 +10,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tactiled.contacts.regions import TOTAL, Measures, Region, RegionMeter
-from tactiled.frames import Image
+from tactiled.contacts.detection import BEGIN_SIGMAS
+from tactiled.contacts.regions import NOT_KNOWN, TOTAL, Measures, Region, RegionMeter
+from tactiled.frames import MISSING, Image
 from tactiled.geometry import Cells
 from tactiled.units import Unit
 
@@ -44,6 +45,19 @@ class Summary:
     unit: Unit
 
 
+class Series(NamedTuple):
+    """Values of a region in T images."""
+
+    time: NDArray[np.float64]  # (T,) s
+    values: NDArray[np.float32]  # (T, 4) fields of Measures; NaN: not known
+    missing: NDArray[np.int64]  # (T,) taxels of the array that did not arrive
+    unit: Unit
+
+    def of(self, images: slice | list[int]) -> "Series":
+        """Of some of these images."""
+        return Series(self.time[images], self.values[images], self.missing[images], self.unit)
+
+
 class RegionSeries:
     """One region: its cells, its newest 10 minutes, and what has come together since it was reset."""
 
@@ -52,10 +66,11 @@ class RegionSeries:
         self.measure = RegionMeter(region, cells)
         slots = int(SERIES_S / MIN_GAP_S) + 1
         self._time, self._values = np.zeros(slots), np.zeros((slots, len(Measures._fields)), np.float32)
+        self._missing = np.zeros(slots, np.int64)
         self._count = 0
         self._lock = Lock()
         self.exceeded = False
-        self._now = Measures(*4 * (np.nan,))
+        self._now = NOT_KNOWN
         self._last = self._stored = -np.inf  # s, of the newest image, and of the newest in the series
         self._unit: Unit = "kPa"
         self._forget()
@@ -81,6 +96,8 @@ class RegionSeries:
         """Measure an image; the value that has crossed the threshold, None where none has."""
         gap = image.time - self._last
         now = self.measure(image)
+        if not (image.noise_known or now.peak > BEGIN_SIGMAS * image.cell_noise):
+            now = NOT_KNOWN  # it may be noise alone
         with self._lock:
             self._now = now
             if image.unit != self._unit:
@@ -91,6 +108,7 @@ class RegionSeries:
             if image.time - self._stored >= MIN_GAP_S:
                 slot = self._count % len(self._time)
                 self._time[slot], self._values[slot] = image.time, now
+                self._missing[slot] = np.count_nonzero(image.flags & MISSING)
                 self._count, self._stored = self._count + 1, image.time
             self._since = image.time if np.isnan(self._since) else self._since
             np.fmax(self._highest, now, out=self._highest)
@@ -119,20 +137,18 @@ class RegionSeries:
             integrals = self._impulse, self._pressure_time
             return Summary(self._now, highest, *integrals, self._since, self.exceeded, self._unit)
 
-    def series(self, seconds: float, points: int) -> tuple[NDArray[np.float64], NDArray[np.float32], Unit]:
-        """Times (T,) s and values (T, 4) of the last `seconds`; of more than `points` the ones of highest peak."""
+    def series(self, seconds: float, points: int) -> "Series":
+        """The last `seconds`; of more than `points` images the ones of highest peak."""
         with self._lock:
             length = min(self._count, len(self._time))
             order = np.arange(self._count - length, self._count) % len(self._time)
-            time, values, unit = self._time[order], self._values[order], self._unit
-        first = int(np.searchsorted(time, time[-1] - seconds)) if length else 0
-        time, values = time[first:], values[first:]
-        if len(time) <= points:
-            return time, values, unit
-        bounds = np.linspace(0, len(time), points + 1).astype(int)
-        peak = np.nan_to_num(values[:, Measures._fields.index("peak")], nan=-np.inf)
-        best = [a + int(peak[a:b].argmax()) for a, b in pairwise(bounds)]
-        return time[best], values[best], unit
+            series = Series(self._time[order], self._values[order], self._missing[order], self._unit)
+        series = series.of(slice(np.searchsorted(series.time, series.time[-1] - seconds) if length else 0, None))
+        if len(series.time) <= points:
+            return series
+        bounds = np.linspace(0, len(series.time), points + 1).astype(int)
+        peak = np.nan_to_num(series.values[:, Measures._fields.index("peak")], nan=-np.inf)
+        return series.of([a + int(peak[a:b].argmax()) for a, b in pairwise(bounds)])
 
 
 class RegionMonitor:

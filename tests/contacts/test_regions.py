@@ -15,8 +15,8 @@ SHAPES = [
 ]
 
 
-def restored(values, unit="kPa", raw=0.0):
-    return SimpleNamespace(raw=np.float32(raw), restored=values, cell_noise=0.1, unit=unit)
+def restored(values, unit="kPa", shares=None):
+    return SimpleNamespace(restored=values, shares=shares, cell_noise=0.1, unit=unit)
 
 
 @pytest.mark.parametrize(("shape", "points", "area", "centre"), SHAPES)
@@ -35,7 +35,12 @@ def test_force_mean_peak_and_contact_area_are_of_the_cells_that_are_known():
     total = (97 * 0.2 + 30 + 10) * 0.25
     assert values == pytest.approx((total * 1e-3, total / (99 * 0.25), 30.0, 0.5))
     assert measure(restored(image, "counts")).force == pytest.approx(total)
-    assert np.isnan(measure(restored(image, raw=np.nan))).all()  # no taxel has data
+    assert np.isnan(measure(restored(np.full((40, 60), np.nan)))).all()  # no taxel has data
+    shares = np.ones((40, 60), np.float32)
+    shares[:10, 8:] = 0.05  # and all outside the region
+    assert measure(restored(image, shares=shares)) == pytest.approx(values)
+    shares[:10, 7:] = 0.05
+    assert np.isnan(measure(restored(image, shares=shares))).all()
 
 
 @pytest.mark.parametrize(

@@ -107,7 +107,7 @@ def test_a_frame_without_data_is_zero_and_says_so_instead_of_no_contact(covered,
     restorer = make(method, covered(), SIGMA)
     restorer(pressed(covered(), SIGMA)[0])
     done = restorer(np.full((12, 12), np.nan, np.float32))
-    assert (done.why, done.image.any()) == ("no taxel has data, and the image is zero", False)
+    assert (done.why, done.image.any()) == ("no taxel has data, and nothing is known", False)
     assert np.isnan(restorer.deviation()).all()
 
 

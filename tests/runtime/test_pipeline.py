@@ -8,6 +8,7 @@ from tactiled.build import sensor_plan
 from tactiled.calibrate.health import Fault
 from tactiled.calibrate.sections import NoLoadSection, utc
 from tactiled.config import parse
+from tactiled.contacts.regions import Region, RegionMeter
 from tactiled.diagnostics.warning_codes import warning
 from tactiled.frames import BAD, DEAD, FAULTY, MISSING, SATURATED, FrameWarning
 from tactiled.geometry import tiling
@@ -21,6 +22,7 @@ from tests.conftest import CONFIG, GAIN, NO_LOAD, SIDE, pressed
 from tests.runtime.conftest import frame
 
 SHAPE = SIDE, SIDE
+FREE = Region(shape="rectangle", points_mm=[[-0.5, 5.5], [7.5, 7.5]])
 UNLOADED = np.full(SHAPE, NO_LOAD)
 
 
@@ -90,11 +92,23 @@ def test_a_taxel_without_data_is_nan_in_raw_inferred_in_restored_and_has_a_warni
     assert image.warnings[2].text == "1 taxel dead: restored from its neighbours"
 
 
+@pytest.mark.parametrize("method", ["raw", "auto"])
+def test_what_lost_messages_leave_unknown_is_no_zero(make, method):
+    flags = np.zeros(SHAPE)
+    flags[:5] = MISSING  # the press is at rows 3 and 4
+    pipeline = make(method)
+    image = pipeline.process(frame(flags=flags))
+    np.testing.assert_array_equal(np.isnan(image.restored).all(axis=1), [True] * 5 + [False] * 3)
+    np.testing.assert_array_equal(np.isnan(pipeline.deviation(image)), np.isnan(image.restored))
+    assert np.isnan(RegionMeter(None, tiling(pipeline._plan.array))(image)).all()
+    assert not np.isnan(RegionMeter(FREE, tiling(pipeline._plan.array))(image)).any()
+
+
 def test_a_frame_without_data_says_so_and_is_neither_noise_nor_zero(make):
     pipeline, empty = make(noise_kpa=None), np.full(SHAPE, BAD)
     pipeline.tare(TARED_AT)
     images = [pipeline.process(frame(arrived=n * TARE_S, flags=empty)) for n in range(NOISE_FRAMES)]
-    text = "no taxel has data, and the image is zero"
+    text = "no taxel has data, and nothing is known"
     assert images[-1].warnings == (FrameWarning("bad", f"64 taxels reported faulty by the sensor: {text}", 64),)
     assert (images[-1].why, pipeline.tared, pipeline.noise.settled) == (text, 0, False)
 

@@ -6,6 +6,7 @@ import pytest
 from tactiled.config import parse
 from tactiled.contacts.regions import Measures, Region, Threshold
 from tactiled.errors import StateError
+from tactiled.frames import MISSING
 from tactiled.geometry import grid, tiling
 from tactiled.runtime.region_monitor import MAX_REGIONS, MIN_GAP_S, SERIES_S, RegionMonitor
 from tactiled.runtime.service import Service
@@ -20,10 +21,11 @@ WEST = Region(
 )
 
 
-def image(kpa, time, unit="kPa"):
+def image(kpa, time, unit="kPa", **others):
     values = np.zeros((4, 4), np.float32)
     values[1, 1], values[1, 3] = kpa, 99.0  # the second is no part of it
-    return SimpleNamespace(raw=values, restored=values, time=time, cell_noise=0.1, unit=unit)
+    known = {"shares": None, "flags": np.zeros((4, 4), np.uint8), "noise_known": True, "cell_noise": 0.1}
+    return SimpleNamespace(restored=values, time=time, unit=unit, **known | others)
 
 
 @pytest.fixture
@@ -40,6 +42,20 @@ def test_a_threshold_has_hysteresis(monitor):
         crossings += [(n, each.above, each.value) for each in monitor.drain_crossings()]
     assert crossings == [(2, True, 51), (6, False, 39), (9, True, 52)]
     assert monitor.series["west"].summary().exceeded
+
+
+def test_what_is_not_known_crosses_no_threshold_and_is_no_zero(monitor):
+    flags, hole = np.zeros((4, 4), np.uint8), np.zeros((4, 4), np.float32)
+    flags[:3, :2] = MISSING
+    monitor.add(image(60, 0))
+    monitor.add(image(0, 1, shares=hole, flags=flags))
+    monitor.add(image(0.4, 2, noise_known=False))  # may be noise alone
+    monitor.add(image(60, 3, noise_known=False))  # clear whatever the noise is
+    monitor.add(image(0, 4))
+    assert [(each.above, each.value) for each in monitor.drain_crossings()] == [(True, 60), (False, 0)]
+    series = monitor.series["west"].series(10, 100)
+    np.testing.assert_array_equal(np.isfinite(series.values).all(axis=1), [True, False, False, True, True])
+    assert series.missing.tolist() == [0, 6, 0, 0, 0]
 
 
 def test_peaks_hold_and_integrals_grow_until_a_reset(monitor):
@@ -62,22 +78,22 @@ def test_a_fast_sensors_series_goes_back_as_far_as_any(monitor):
     series.measure = lambda _: Measures(*4 * (1.0,))
     for n in range(70_000):
         series.add(image(1, n * 1.01 * MIN_GAP_S))
-    time, *_ = series.series(SERIES_S, 100_000)
+    time = series.series(SERIES_S, 100_000).time
     assert time[-1] - time[0] == pytest.approx(SERIES_S, abs=2 * MIN_GAP_S)
 
 
 def test_a_series_is_of_the_last_seconds_and_keeps_peaks_where_it_is_thinned(monitor):
     for n in range(2000):
         monitor.add(image(90 if n == 1777 else n % 7, n / 100))
-    time, values, unit = monitor.series["west"].series(10, 100_000)
+    time, values, _, unit = monitor.series["west"].series(10, 100_000)
     assert (len(time), unit) == (1001, "kPa")
     assert time[0] == pytest.approx(9.99)
-    time, values, _ = monitor.series["west"].series(10, 20)
+    time, values, *_ = monitor.series["west"].series(10, 20)
     assert len(time) == 20
     assert (np.diff(time) > 0).all()
     assert (values[:, 2].max(), time[values[:, 2].argmax()]) == (90, 17.77)
     monitor.add(image(5, 20.0, "counts"))  # another unit: a series has one
-    time, values, unit = monitor.series["west"].series(10, 20)
+    time, values, _, unit = monitor.series["west"].series(10, 20)
     assert (len(time), unit, values[0, 0]) == (1, "counts", 5)
     summary = monitor.series["west"].summary()
     assert (summary.highest.peak, summary.impulse, summary.since) == (5, 0, 20.0)

@@ -9,6 +9,7 @@ from tests.study import (
     contacts,
     cover,
     eflesh,
+    felt,
     frame_times,
     health,
     insole,
@@ -26,10 +27,10 @@ from tests.study import (
 
 app = typer.Typer(add_completion=False, no_args_is_help=True)
 for measurement in (
-    blind.blind, bus.bus, bus.against, contacts.contacts, cover.cover, eflesh.eflesh, frame_times.frame_times,
-    frame_times.frames_against, health.health, insole.insole, invented.invented, judge.judge, mistakes.mistakes,
-    restart.restart, restore.restore, sensors.sensors, sensors.sensors_against, soak.soak, train.train,
-    transitions.transitions, zenoh.zenoh,
+    blind.blind, bus.bus, bus.against, contacts.contacts, cover.cover, eflesh.eflesh, felt.felt,
+    frame_times.frame_times, frame_times.frames_against, health.health, insole.insole, invented.invented,
+    judge.judge, mistakes.mistakes, restart.restart, restore.restore, sensors.sensors,
+    sensors.sensors_against, soak.soak, train.train, transitions.transitions, zenoh.zenoh,
 ):  # fmt: skip
     app.command()(measurement)
 

@@ -76,7 +76,9 @@ test("force, peak and centre leave out taxels without data, and noise is no cont
   measure(Float32Array.from([0, 0, 10, 0, 0, 30]), plane.raw, 7, image);
   assert.deepEqual([image.contact, image.x], [false, NaN]);
   measure(new Float32Array(6).fill(NaN), plane.raw, 0, image);
-  assert.deepEqual([image.force, image.peak, image.peakIndex], [0, NaN, -1]);
+  assert.deepEqual([image.force, image.peak, image.peakIndex], [NaN, NaN, -1]);
+  measure(Float32Array.from([NaN, 0, 10, NaN, 0, 30]), plane.raw, 0.5, image);  // a third is unknown
+  assert.deepEqual([image.force, image.peak, image.contact, image.unknown], [NaN, NaN, false, 2]);
   measure(Float32Array.from([1, 1, 1, 1]), scattered().raw, 0, image);
   assert.equal(image.force, 0.01);
 });

@@ -26,7 +26,7 @@ def values(window: Sequence[Image], age_s: float) -> list[float]:
     """The values of a window, oldest frame first; `age_s` is that of its newest frame."""
     ages = [age_s + window[-1].timestamp - image.timestamp for image in window]
     flagged = [float(np.count_nonzero(image.flags)) for image in window]
-    return [*np.concatenate([image.restored.ravel() for image in window]).tolist(), *ages, *flagged]
+    return [*np.nan_to_num(np.concatenate([image.restored.ravel() for image in window])).tolist(), *ages, *flagged]
 
 
 def arrays(names: Sequence[str], state: Any) -> dict[str, Any]:

@@ -25,7 +25,7 @@ from tactiled.web import schemas
 from tactiled.web.http.problems import SOON, Problem
 from tactiled.web.rest.dependencies import without_path
 from tactiled.web.rest.openapi import MEDIA
-from tactiled.web.rest.regions import csv_headings, csv_lines, csv_values, watched
+from tactiled.web.rest.regions import MISSING_TAXELS, csv_headings, csv_lines, csv_values, watched
 
 
 class SensorQuery(BaseModel):
@@ -146,9 +146,13 @@ def _csv(job: SeriesJob, rows: SeriesRows) -> Iterator[str]:
     """One line a frame; empty: not known."""
     with closing(rows.file):
         areas, headings = (TOTAL, *job.regions), csv_headings(job.plan.unit)
-        yield csv_lines([["frame", "position_s", *(f"{area}_{each}" for area in areas for each in headings)]])
+        yield csv_lines(
+            [["frame", "position_s", *(f"{area}_{each}" for area in areas for each in headings), MISSING_TAXELS]]
+        )
         for first in range(0, rows.frames, ROWS_AT_ONCE):
             some = rows.read(first, rows.frames)
             values = some["values"].reshape(len(some), -1).tolist()
-            numbered = enumerate(zip(some["position"].tolist(), values, strict=True), first)
-            yield csv_lines([n, f"{at:.6f}", *csv_values(row)] for n, (at, row) in numbered)
+            columns = zip(some["position"].tolist(), values, some["missing"].tolist(), strict=True)
+            yield csv_lines(
+                [n, f"{at:.6f}", *csv_values(row), missing] for n, (at, row, missing) in enumerate(columns, first)
+            )

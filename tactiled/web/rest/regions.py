@@ -12,6 +12,7 @@ from pydantic import Field
 from tactiled import units
 from tactiled.bounds import Syntax
 from tactiled.contacts.regions import Measures, Region, measure_units
+from tactiled.runtime import region_monitor
 from tactiled.runtime.region_monitor import SERIES_S, RegionSeries
 from tactiled.runtime.sensor import Sensor
 from tactiled.web import schemas
@@ -20,6 +21,7 @@ from tactiled.web.rest.dependencies import CurrentService, NamedSensor, keeping
 from tactiled.web.rest.openapi import CONTROL, JSON_BODY, problems, success
 
 MAX_POINTS = 60_000
+MISSING_TAXELS = "missing_taxels"  # heading of the taxels that did not arrive, of the array
 NAME = Syntax(r"^[\w][\w .-]{0,39}$", "1 to 40 letters, digits, _ . - or spaces, a letter, digit or _ first")
 RegionName = Annotated[str, NAME, Path(description="a region of the sensor", examples=["heel"])]
 router = APIRouter(prefix="/api/v1/sensors/{name}/regions", tags=["regions"])
@@ -69,6 +71,7 @@ class Series(schemas.Schema):
     mean: list[float | None] = Field(examples=[[31.0]])
     peak: list[float | None] = Field(examples=[[98.5]])
     area: list[float | None] = Field(examples=[[64.0]])
+    missing: list[int] = Field([], description="taxels of the array that did not arrive", examples=[[0]])
 
 
 def watched(sensor: Sensor, region: str) -> RegionSeries:
@@ -127,18 +130,19 @@ def series(
     ] = "json",
 ) -> Response:
     """Force, mean, peak and contact area of a region, image by image."""
-    time, values, unit = watched(sensor, region).series(seconds, points)
+    kept = watched(sensor, region).series(seconds, points)
     if form == "csv":
-        return Response(_csv(time.tolist(), values.tolist(), unit), media_type="text/csv")
-    columns = dict(zip(Measures._fields, values.T.tolist(), strict=True))
-    content = Series(unit=unit, time=time.tolist(), **columns).model_dump_json()
+        return Response(_csv(kept), media_type="text/csv")
+    columns = dict(zip(Measures._fields, kept.values.T.tolist(), strict=True))
+    lists = {"time": kept.time.tolist(), "missing": kept.missing.tolist()}
+    content = Series(unit=kept.unit, **lists, **columns).model_dump_json()
     return Response(content, media_type="application/json")
 
 
-def _csv(time: list[float], values: list[list[float]], unit: units.Unit) -> str:
+def _csv(series: region_monitor.Series) -> str:
     """One line an image; empty: not known."""
-    rows = ([f"{at:.6f}", *csv_values(row)] for at, row in zip(time, values, strict=True))
-    return csv_lines([["time_s", *csv_headings(unit)], *rows])
+    rows = ([f"{at:.6f}", *csv_values(row), missing] for at, row, missing in zip(*series[:3], strict=True))
+    return csv_lines([["time_s", *csv_headings(series.unit), MISSING_TAXELS], *rows])
 
 
 def csv_headings(unit: units.Unit) -> list[str]:

@@ -5,7 +5,7 @@ import { FORCE_SCALES } from "./units.js";
 /** @import { Cells } from "./geometry.js" */
 
 /**
- * @typedef {object} Measures
+ * @typedef {object} Measures NaN where too few cells are known
  * @property {number} force over every cell that is known
  * @property {number} peak
  * @property {number} peakIndex -1 where nothing is known
@@ -16,6 +16,7 @@ import { FORCE_SCALES } from "./units.js";
  */
 
 const CLEAR = 5; // noise deviations from which a peak is a contact
+const MAX_UNKNOWN = 0.2; // of all cells, as of a region's: `contacts/felt.py`
 const SHARE = 0.1; // of the peak from which a cell counts towards the centre
 
 /** @returns {Measures} */
@@ -48,6 +49,10 @@ export function measure(values, cells, noise, into, unit = 0) {
         peakIndex = i;
       }
     }
+  }
+  if (unknown > MAX_UNKNOWN * count) {
+    sum = peak = NaN;
+    peakIndex = -1;
   }
   into.force = sum * FORCE_SCALES[unit];
   into.peak = peakIndex < 0 ? NaN : peak;

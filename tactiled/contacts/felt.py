@@ -1,0 +1,43 @@
+"""What a frame that lost messages still tells: the rule by which a cell, a region or a contact is unknown.
+
+The share that is left of a cell is H'a / H'1, what the taxels feel of it, with a = 0 where a message is lost.
+"""
+
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactiled.frames import MISSING, UNKNOWN
+from tactiled.restore.blur import Blur
+
+# `python -m tests.study felt` measures what is wrong at each share.
+MIN_CELL_SHARE = 0.2  # with less an image misses over half of the pressure on a cell
+MIN_SUM_SHARE = 0.8  # of a region or contact, whose force is then right to 15 % in nine of ten
+KEPT_SHARES = 64  # taxels that never come are the same ones in each frame
+
+
+def is_known(share: NDArray[np.floating] | np.floating | float, summed: bool = False) -> NDArray[np.bool_]:
+    """Whether enough is left (0 ... 1) of a cell, or of one `summed` over cells: a region, a contact."""
+    return np.asarray(share) >= (MIN_SUM_SHARE if summed else MIN_CELL_SHARE)
+
+
+def shares(flags: NDArray[np.uint8], blur: Blur) -> NDArray[np.float32] | None:
+    """The share of each cell that a frame with these flags has; None where no message is lost.
+
+    Taxels that are dead or faulty, but not all, are restored from their neighbours: they are lost to no frame.
+    """
+    if not flags.any():
+        return None
+    if (flags & UNKNOWN != 0).all():
+        return np.zeros(blur.surface_shape, np.float32)
+    lost = flags & MISSING != 0
+    return _shares(lost.tobytes(), blur) if lost.any() else None
+
+
+@lru_cache(KEPT_SHARES)
+def _shares(lost: bytes, blur: Blur) -> NDArray[np.float32]:
+    left = 1 - np.frombuffer(lost, np.bool_).reshape(blur.frame_shape).astype(np.float32)
+    share: NDArray[np.float32] = np.clip(blur.adjoint(left) / blur.reach, 0, 1)
+    share.flags.writeable = False
+    return share
