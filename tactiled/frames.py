@@ -14,11 +14,12 @@ DEAD = 4  # the configuration or the calibration says that the taxel does not wo
 SATURATED = 8  # the taxel is at its ceiling: its pressure is a lower bound, not a value
 OUT_OF_RANGE = 16  # the reading is beyond the calibrated range: its pressure is extrapolated
 FAULTY = 32  # the service has found, while running, that the taxel does not work
+BELOW_ZERO = 64  # the reading is far below zero, and no pressure pulls: its zero was taken under a load
 FLAG_BITS = {
     "MISSING": MISSING, "BAD": BAD, "DEAD": DEAD, "SATURATED": SATURATED, "OUT_OF_RANGE": OUT_OF_RANGE,
-    "FAULTY": FAULTY,
+    "FAULTY": FAULTY, "BELOW_ZERO": BELOW_ZERO,
 }  # fmt: skip
-UNKNOWN = MISSING | BAD | DEAD | FAULTY  # of such a taxel there is no pressure
+UNKNOWN = MISSING | BAD | DEAD | FAULTY | BELOW_ZERO  # of such a taxel there is no pressure
 NOISE_UNKNOWN = "noise_unknown"  # the code of the warning of an image whose noise is not measured yet
 UNSURE = 3.0  # times the median taxel: twice normal noise (1.48), as some cells are noisier than their mean
 CONFIGURED = "configured"  # the calibration of an image where there is no calibration file

@@ -45,7 +45,7 @@ LAYOUT = (  # offset, type, meaning
         None,
         "u8 x F",
         "flags of each taxel, the sum of 1 missing, 2 reported faulty by the sensor, 4 dead, 8 saturated, "
-        "16 beyond the calibrated range, 32 found faulty by the service",
+        "16 beyond the calibrated range, 32 found faulty by the service, 64 far below zero",
     ),
     (None, "u8 x N", "the sensor's name"),
 )

@@ -18,6 +18,11 @@ JITTER_MARGIN = 1.5  # of a noise measured from so few frames
 CLEARLY_NOISY = 4.0  # times the noise: of 100 000 healthy taxels none seemed to have 3.5 in 16 frames
 MAX_NOISY_FRACTION = 0.01  # of the taxels, or one: if more are noisy at once, a load shakes them
 
+BELOW_SIGMAS = 7.0  # of noise, and of the taxels' scatter, below zero
+QUARTILE_TO_SIGMA = 3.14  # standard deviation over the quartile nearest to 0 of half a normal distribution
+CLEARLY_BELOW = 2.0  # of the same
+BELOW_SHARE = 0.1  # of the highest reading since the tare: a skin that is slow to recover reads so far below zero
+
 SPIKE_SIGMAS = 4.0  # robust standard deviations from a taxel's median: a reading beyond is a spike
 SPIKE_COUNTS = 1.5  # of whole counts: neighbouring counts are noise, even where most readings are the same
 MOVING_BLOCKS = 4  # of a tare's frames, whose means must agree
@@ -78,6 +83,24 @@ def own_noise(frames: NDArray[np.floating], noise: float) -> Floats:
     if clearly <= max(1, MAX_NOISY_FRACTION * own.size):
         own = np.where(jitter > NOISY_RATIO * noise, JITTER_MARGIN * jitter, own)
     return own
+
+
+def below_zero(pressure: NDArray[np.floating], noise: float, highest: float) -> NDArray[np.bool_]:
+    """Which taxels (NaN: unknown) read below zero since a load lay on them when their zero was taken.
+
+    One must be far below; then its skirt, all that is clearly below, is wrong as well. An offset that all taxels
+    share is none. `highest` is the highest reading since then.
+    """
+    nothing = np.zeros(pressure.shape, np.bool_)
+    if not float(np.fmin.reduce(pressure, axis=None)) < -BELOW_SIGMAS * noise:
+        return nothing
+    known = pressure[np.isfinite(pressure)]
+    level = min(float(np.median(known)), 0.0)
+    off = level - known
+    scatter = QUARTILE_TO_SIGMA * float(np.quantile(off[off > 0], 0.25))
+    clear = CLEARLY_BELOW * max(noise, scatter)
+    far = max(BELOW_SIGMAS * max(noise, scatter), BELOW_SHARE * highest)
+    return np.less(pressure, level - clear, out=nothing) if float(known.min()) < level - far else nothing
 
 
 def load_description(

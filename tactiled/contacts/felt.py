@@ -1,6 +1,7 @@
 """What a frame that lost messages still tells: the rule by which a cell, a region or a contact is unknown.
 
-The share that is left of a cell is H'a / H'1, what the taxels feel of it, with a = 0 where a message is lost.
+The share that is left of a cell is H'a / H'1, what the taxels feel of it, with a = 0 where a message is lost,
+or a reading is so far below zero that it is no pressure.
 """
 
 from functools import lru_cache
@@ -8,7 +9,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from tactiled.frames import MISSING, UNKNOWN
+from tactiled.frames import BELOW_ZERO, MISSING, UNKNOWN
 from tactiled.restore.blur import Blur
 
 # `python -m tests.study felt` measures what is wrong at each share.
@@ -23,7 +24,7 @@ def is_known(share: NDArray[np.floating] | np.floating | float, summed: bool = F
 
 
 def shares(flags: NDArray[np.uint8], blur: Blur) -> NDArray[np.float32] | None:
-    """The share of each cell that a frame with these flags has; None where no message is lost.
+    """The share of each cell that a frame with these flags has; None where none is lost.
 
     Taxels that are dead or faulty, but not all, are restored from their neighbours: they are lost to no frame.
     """
@@ -31,7 +32,18 @@ def shares(flags: NDArray[np.uint8], blur: Blur) -> NDArray[np.float32] | None:
         return None
     if (flags & UNKNOWN != 0).all():
         return np.zeros(blur.surface_shape, np.float32)
-    lost = flags & MISSING != 0
+    return _left(flags, MISSING | BELOW_ZERO, blur)
+
+
+def unknown_cells(flags: NDArray[np.uint8], blur: Blur, share: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Which cells are unknown, by their `shares`; also those of a wrong zero, as nothing is inferred there."""
+    wrong = _left(flags, BELOW_ZERO, blur)
+    unknown = ~is_known(share)
+    return unknown if wrong is None else unknown | ~is_known(wrong, summed=True)
+
+
+def _left(flags: NDArray[np.uint8], kinds: int, blur: Blur) -> NDArray[np.float32] | None:
+    lost = flags & kinds != 0
     return _shares(lost.tobytes(), blur) if lost.any() else None
 
 

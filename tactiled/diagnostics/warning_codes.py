@@ -7,7 +7,7 @@ from tactiled.frames import Direction, FrameWarning
 WarningCode = Literal[
     "uncalibrated", "thick_cover", "noise_unknown", "noise_high", "missing", "bad", "dead", "saturated",
     "cover_mismatch", "outliers", "negative", "offset", "noise_low", "plateau", "edge", "out_of_range", "faulty",
-    "wrong_map", "cut_short",
+    "wrong_map", "cut_short", "below_zero",
 ]  # fmt: skip
 TEXTS: dict[WarningCode, str] = {
     "uncalibrated": "pressure is in counts: calibrate, or give kpa_per_count{unused}",
@@ -20,6 +20,7 @@ TEXTS: dict[WarningCode, str] = {
     "saturated": "{taxels} saturated: {their} pressure is a lower bound",
     "out_of_range": "{taxels} beyond the calibrated range: {their} pressure is extrapolated",
     "faulty": "{taxels} found not to work: {instead}",
+    "below_zero": "{taxels} far below zero, as after a tare under a load: unload and tare",
     "wrong_map": "the map of taxels is wrong: {wrong}",
     "cover_mismatch": "the image does not match the data: check the cover settings and look for faulty taxels",
     "outliers": "single taxels disagree with their neighbours: list dead or damaged ones in calibration.dead",

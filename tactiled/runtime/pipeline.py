@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 from tactiled.build import SensorPlan
 from tactiled.calibrate.calibration import Calibrator
 from tactiled.calibrate.monitor import SkinMonitor
-from tactiled.calibrate.tare import Zero, blocks, load_description, own_noise, robust_mean
-from tactiled.contacts.felt import is_known, shares
+from tactiled.calibrate.tare import Zero, below_zero, blocks, load_description, own_noise, robust_mean
+from tactiled.contacts.felt import shares, unknown_cells
 from tactiled.diagnostics.checks import FrameChecks
 from tactiled.diagnostics.warning_codes import WarningCode, warning
-from tactiled.frames import FLAG_BITS, UNKNOWN, FrameWarning, Image, RawFrame, StageTimes
+from tactiled.frames import BELOW_ZERO, FLAG_BITS, UNKNOWN, FrameWarning, Image, RawFrame, StageTimes
 from tactiled.geometry import tiling
 from tactiled.restore.methods import NO_DATA, Restorer, make, require
 from tactiled.restore.noise import estimate, noise_ratio
@@ -53,6 +53,7 @@ class Pipeline:
         self._tare_frames = TareFrames()
         self.zero = Zero(self.calibrator.no_load, np.full((2, size), np.nan, np.float32))  # of the unloaded array
         self._zero_before: Zero | None = None  # the last tare
+        self._highest = 0.0  # reading since this zero
         self._recent: tuple[NDArray[np.float32], ...] = ()  # raw images since the last tare, or break
         self.tared = self.lapsed = self.refused = 0  # times that a tare was done, given up, or met a load
         self.load_in_tare = ""  # in words: what the last refused tare met
@@ -107,7 +108,7 @@ class Pipeline:
     def _use_zero(self) -> None:
         measured = self.zero.time is not None or self._plan.calibration.no_loads is not None
         self.calibrator.tare(self.zero.counts.astype(float), measured)
-        self._recent = ()
+        self._recent, self._highest = (), 0.0
         self.cover.reset()
 
     def take_over(self, other: "Pipeline") -> None:
@@ -191,11 +192,14 @@ class Pipeline:
         pressure, taxel_flags = self.calibrator(frame.counts, frame.flags)
         raw, flags = pressure.reshape(shape), taxel_flags.reshape(shape)
         self.noise.add(raw)
+        if self.noise.settled:
+            self._highest = max(self._highest, float(np.fmax.reduce(pressure)))
+            flags = flags | np.where(below_zero(raw, self.noise.kpa, self._highest), BELOW_ZERO, np.uint8(0))
         self._recent = (*self._recent, raw)[-TARE_FRAMES:]
         if self._made_for != (self.method, self.noise.kpa):
             self._restorer = self._make_restorer()
         calibrated = monotonic()
-        done = self._restorer(raw, flags, Deadline(budget_s))
+        done = self._restore(raw, flags, Deadline(budget_s))
         restored = monotonic()
         warnings = self._check(raw, flags, done, budget_s)
         checked = monotonic()
@@ -214,6 +218,13 @@ class Pipeline:
             shear=without_zero(frame.shear, self.zero.shear, flags),
             times=times,
         )
+
+    def _restore(self, raw: NDArray[np.float32], flags: NDArray[np.uint8], deadline: "Deadline") -> Restored:
+        """Restore a frame; what is far below zero counts as no pressure."""
+        below = flags & BELOW_ZERO > 0
+        if not below.any():
+            return self._restorer(raw, flags, deadline)
+        return self._restorer(np.where(below, np.float32(0), raw), flags & ~np.uint8(BELOW_ZERO), deadline)
 
     def _check(
         self, raw: NDArray[np.float32], flags: NDArray[np.uint8], done: Restored, budget_s: float
@@ -274,9 +285,10 @@ class Deadline:
 
 def make_image(plan: SensorPlan, frame: RawFrame, done: Restored, **others: Any) -> Image:
     """The image of a frame as it was restored; `others` are the fields that neither of them has."""
-    restored, share = done.image.copy(), shares(others["flags"], plan.blur)
+    restored, flags = done.image.copy(), others["flags"]
+    share = shares(flags, plan.blur)
     if share is not None:
-        restored[~is_known(share)] = np.nan
+        restored[unknown_cells(flags, plan.blur, share)] = np.nan
     return Image(
         sensor=plan.name,
         sequence=frame.sequence,

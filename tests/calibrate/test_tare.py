@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tactiled.build import sensor_plans
-from tactiled.calibrate.tare import blocks, load_description, robust_mean
+from tactiled.calibrate.tare import below_zero, blocks, load_description, robust_mean
 from tactiled.config import parse
 from tests.conftest import CONFIG
 
@@ -163,3 +163,30 @@ def test_unknown_counts_are_left_out_of_a_zero():
     counts = np.array([[1.0, np.nan, np.nan], [2.0, 5.0, np.nan], [3.0, 7.5, np.nan]], np.float32)
     np.testing.assert_array_equal(robust_mean(counts), [2, 6.25, np.nan])
     assert [each[0] for each in blocks(np.arange(8.0)[:, None])] == [0.5, 2.5, 4.5, 6.5]
+
+
+@pytest.mark.parametrize("kind", ["noise", "offset", "undershoot", "slopes"])
+def test_what_is_no_load_under_a_tare_is_not_far_below_zero(kind):
+    random = np.random.default_rng(8)
+    for _ in range(50):
+        pressure = random.normal(0, 0.4, (16, 16))
+        pressure[random.random((16, 16)) < 0.1] = np.nan
+        if kind == "offset":
+            pressure -= 30
+            pressure[3:6, 3:6] += 200
+        elif kind == "undershoot":
+            pressure[3:6, 3:6] -= 8  # of a skin that felt 100
+        elif kind == "slopes":
+            pressure -= random.uniform(1, 4) * np.linspace(0, 1, 16)
+        assert not below_zero(pressure.astype(np.float32), 0.4, 100.0 * (kind == "undershoot")).any()
+
+
+def test_what_a_load_under_a_tare_leaves_is_far_below_zero():
+    pressure = np.random.default_rng(9).normal(-5, 0.4, (16, 16))
+    pressure[4:10, 4:10] -= 20
+    pressure[10, 4:10] -= 4  # its skirt
+    below = below_zero(pressure.astype(np.float32), 0.4, 80.0)
+    assert below[4:11, 4:10].all()
+    assert np.count_nonzero(below) < 42 + 12
+    below[...] = below_zero(np.full((16, 16), np.nan, np.float32), 0.4, 0.0)
+    assert not below.any()

@@ -10,7 +10,7 @@ from tactiled.calibrate.sections import NoLoadSection, utc
 from tactiled.config import parse
 from tactiled.contacts.regions import Region, RegionMeter
 from tactiled.diagnostics.warning_codes import warning
-from tactiled.frames import BAD, DEAD, FAULTY, MISSING, SATURATED, FrameWarning
+from tactiled.frames import BAD, BELOW_ZERO, DEAD, FAULTY, MISSING, SATURATED, FrameWarning
 from tactiled.geometry import tiling
 from tactiled.runtime import pipeline as module
 from tactiled.runtime.noise import NOISE_FRAMES
@@ -111,6 +111,19 @@ def test_a_frame_without_data_says_so_and_is_neither_noise_nor_zero(make):
     text = "no taxel has data, and nothing is known"
     assert images[-1].warnings == (FrameWarning("bad", f"64 taxels reported faulty by the sensor: {text}", 64),)
     assert (images[-1].why, pipeline.tared, pipeline.noise.settled) == (text, 0, False)
+
+
+def test_after_a_tare_under_a_load_what_it_left_is_unknown_and_nothing_else(make):
+    pipeline, random, loaded = make("auto"), np.random.default_rng(6), pressed(force=184)
+    noisy = [loaded + random.normal(0, 1, SHAPE) for _ in range(8)]
+    tare(pipeline, *(frame(counts=np.round(each)) for each in noisy), force=True)
+    for counts in (UNLOADED, pressed(at=6, force=184)):  # 92 kPa elsewhere
+        image = pipeline.process(frame(counts=np.round(counts + random.normal(0, 1, SHAPE))))
+        assert np.argwhere(image.flags & BELOW_ZERO).tolist()[:2] == [[3, 3], [3, 4]]
+        assert np.isnan(image.restored[3:5, 3:5]).all()
+        assert (np.nanmax(image.restored) > 92) == (counts is not UNLOADED)
+        assert np.nanmax(image.restored[:, :2]) < 5
+        assert "below_zero" in {each.code for each in image.warnings}
 
 
 def test_saturated_taxels_have_a_warning(make):

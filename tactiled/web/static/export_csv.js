@@ -18,7 +18,7 @@ export function csvText(plane, frame, origin) {
   const lines = [
     ...origin.map(([name, value]) => `# ${name}: ${value}`),
     `# pitch_mm: ${plane.pitch}`,
-    `# ${pressure} is empty where there is no data; flags: 1 missing, 2 bad, 4 dead, 8 saturated, 16 out of range, 32 faulty`,
+    `# ${pressure} is empty where there is no data; flags: 1 missing, 2 bad, 4 dead, 8 saturated, 16 out of range, 32 faulty, 64 far below zero`,
     `image,row,column,x_mm,y_mm,${pressure},flags${sheared ? ",shear_x_counts,shear_y_counts" : ""}`,
   ];
   for (let i = 0; i < plane.raw.count; i += 1) {

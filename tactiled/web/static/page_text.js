@@ -9,7 +9,7 @@ import { PlaybackSession } from "./playback_session.js";
 import { Readings } from "./readings.js";
 import { timeOffset } from "./timeline.js";
 import { FORCE_UNITS, UNITS, lengthText, readingText, shearText } from "./units.js";
-import { BAD, DEAD, FAULTY, MISSING, OUT_OF_RANGE, SATURATED } from "./wire.js";
+import { BAD, BELOW_ZERO, DEAD, FAULTY, MISSING, OUT_OF_RANGE, SATURATED } from "./wire.js";
 
 /** @import { DisplayRange } from "./display_range.js" */
 /** @import { Frame } from "./frame_history.js" */
@@ -18,7 +18,7 @@ import { BAD, DEAD, FAULTY, MISSING, OUT_OF_RANGE, SATURATED } from "./wire.js";
 /** @import { Session } from "./session.js" */
 /** @import { Viewer } from "./viewer.js" */
 
-const FLAG_NAMES = /** @type {const} */ ([[DEAD, "dead"], [BAD, "bad"], [MISSING, "missing"], [SATURATED, "saturated"], [OUT_OF_RANGE, "beyond the calibrated range"], [FAULTY, "faulty"]]);
+const FLAG_NAMES = /** @type {const} */ ([[DEAD, "dead"], [BAD, "bad"], [MISSING, "missing"], [SATURATED, "saturated"], [OUT_OF_RANGE, "beyond the calibrated range"], [FAULTY, "faulty"], [BELOW_ZERO, "far below zero"]]);
 const PILL_TEXTS = { live: "live", down: "bus down", connecting: "connecting", disconnected: "disconnected", silent: "silent", stale: "stale", ended: "end of recording", playback: "recording" };
 const CURRENT_LEVELS = new Set(["live", "ended", "playback"]); // at which what is shown is what it should be
 const HINTS = { flat: "Point at a map to read it; click or tap to pin.", surface: "Drag to turn, or use the arrow keys on a surface." };

@@ -12,6 +12,7 @@ export const DEAD = 4;
 export const SATURATED = 8;
 export const OUT_OF_RANGE = 16;
 export const FAULTY = 32;
+export const BELOW_ZERO = 64;
 
 /** Methods by their number in a message; "" any other. */
 export const METHODS = ["", "idle", "raw", "wiener", "rl", "rl-fast", "nnls", "tv", "points", "learned"];
