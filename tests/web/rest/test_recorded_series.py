@@ -85,7 +85,13 @@ def test_the_csv_of_a_series_has_every_frame(client):
     rows = list(csv.DictReader(answer.text.splitlines()))
     assert answer.headers["content-disposition"] == 'attachment; filename="grasp-palm.csv"'
     assert list(rows[0])[:3] == ["frame", "position_s", "total_force_N"]
-    assert list(rows[0])[6:] == ["heel_force_N", "heel_mean_kPa", "heel_peak_kPa", "heel_area_mm2", "missing_taxels"]
+    assert list(rows[0])[6:] == [
+        "heel_force_N",
+        "heel_mean_kPa",
+        "heel_peak_kPa",
+        "heel_area_mm2",
+        "missing_taxels",
+    ]
     assert [int(each["frame"]) for each in rows] == list(range(FRAMES))
     assert [n for n, each in enumerate(rows) if int(each["missing_taxels"])] == [20]
     forces = [float(each["heel_force_N"] or "nan") for each in rows]
