@@ -21,10 +21,10 @@ KPA_PER_BAR = 100.0
 MAX_STEP_KPA = 5.0  # of the chamber's sensor from frame to frame: more is a spike
 SMOOTHING = 0.1  # of the counts, as the recordings' authors smooth them
 START_FRAMES = 100  # without a load
-MAX_STILL_FRAMES = 6  # with the same smoothed count: the taxel has stopped
-MAX_DROP = 8  # smoothed counts within that time: more is a fault
+MAX_DROP, DROP_FRAMES = 8, 5  # smoothed counts within that time: more is a fault
 PLAUSIBLE = 100, 250  # smoothed counts
 TIMED_FRAMES, TIMED_TAXELS = 2000, 160
+ZEROS = ("kept", "tare", "best")  # of the calibration, of the recording's start, of each taxel by its mean error
 HEADINGS = ("recording", "counts", "zero", "curve alone", "with hysteresis")
 
 
@@ -43,20 +43,23 @@ def recording(path):
 
 
 def working(counts):
-    """Whether each taxel (280,) works all along a recording of smoothed counts."""
-    still = np.lib.stride_tricks.sliding_window_view(np.diff(counts, axis=0) == 0, MAX_STILL_FRAMES - 1, axis=0)
+    """Whether each taxel (280,) works all along a recording of smoothed counts.
+
+    The authors leave out those whose count stays the same, too; at rest a sound taxel's does.
+    """
     low, high = PLAUSIBLE
-    drops = (counts[: -MAX_STILL_FRAMES + 1] - counts[MAX_STILL_FRAMES - 1 :] > MAX_DROP).any(axis=0)
-    return (counts.min(axis=0) >= low) & (counts.max(axis=0) <= high) & ~drops & ~still.all(axis=2).any(axis=0)
+    drops = (counts[:-DROP_FRAMES] - counts[DROP_FRAMES:] > MAX_DROP).any(axis=0)
+    return (counts.min(axis=0) >= low) & (counts.max(axis=0) <= high) & ~drops
 
 
-def errors(calibration, counts, pressure, tared):
-    """Rms error (N,) in kPa over a recording, by the zeros of the calibration or of the recording's start."""
+def errors(calibration, counts, pressure, zero):
+    """Rms error (N,) in kPa over a recording; for `best` the mean error is taken off, which nobody knows."""
     calibrator = Calibrator(calibration, counts.shape[1])
-    if tared:
+    if zero == "tare":
         calibrator.tare(counts[:START_FRAMES].mean(axis=0))
     got, _ = calibrator.series(counts.astype(np.float32), np.zeros(counts.shape, np.uint8))
-    return np.sqrt(np.mean((got - pressure[:, None]) ** 2, axis=0))
+    missed = got - pressure[:, None]
+    return np.sqrt(np.mean((missed - (missed.mean(axis=0) if zero == "best" else 0)) ** 2, axis=0))
 
 
 def microseconds(calibration):
@@ -92,10 +95,12 @@ def insole(
     rows = []
     for name, (_, raw, applied) in others.items():
         for what, readings in (("smoothed", smooth(raw)), ("as sent", raw)):
-            for tared in (False, True):
-                load = applied - (applied if tared else pressure)[:START_FRAMES].mean()
-                medians = [np.median(errors(each, readings, load, tared)[good]) for each in (without, with_loop)]
-                rows.append((name, what, "tare" if tared else "kept", *(f"{each:.1f}" for each in medians)))
+            for zero in ZEROS:
+                load = applied - (applied if zero == "tare" else pressure)[:START_FRAMES].mean()
+                medians = [np.median(errors(each, readings, load, zero)[good]) for each in (without, with_loop)]
+                rows.append((name, what, zero, *(f"{each:.2f}" for each in medians)))
+        shift = np.std((raw[:START_FRAMES].mean(axis=0) - fit.no_load)[good])
+        typer.echo(f"{name}: zeros other than those of the calibration by {shift:.1f} counts (standard deviation)")
     print_table(f"{np.count_nonzero(good)} taxels that work in all validations", HEADINGS, rows)
     deviation, elsewhere = (np.nanmedian(each[good]) for each in (alone.curves.deviation, alone.curves.error_kpa))
     typer.echo(f"{alone.curves.form}: standard error {100 * deviation:.1f} %, error elsewhere {elsewhere:.1f} kPa")
