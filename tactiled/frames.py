@@ -64,7 +64,7 @@ class Loss:
     errors: int = 0  # error frames: what the bus interface says went wrong on the wire
     bus_off: int = 0  # times that the bus interface left the bus because of too many of them
     unsent: int = 0  # messages to skins, requests among them, that the bus did not take
-    unreadable: int = 0  # what came on the bus and its interface could not decode, whosesoever it was
+    unreadable: int = 0  # messages that the interface could not decode; counted for every sensor of the bus
     undelivered: int = 0  # images that a reader published and that were lost, or overtaken, on their way
 
 

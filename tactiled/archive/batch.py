@@ -58,7 +58,7 @@ def run(
 def process(job: Job, task: Task, label: str, version: str) -> Outcome:
     """Do one task, unless a record beside its output says that the output is complete and of the same digest.
 
-    The record is written last. An output without one is somebody else's, and never replaced.
+    The record is written last. An output without a record was made by another program, and is never replaced.
     """
     source, target = task
     began, record = time.perf_counter(), target.beside(f".{target.name}.tactiled")

@@ -1,4 +1,4 @@
-"""The messages of a batch as the assembler takes them: which are sound, and how far they go into one frame."""
+"""The well-formed messages of a batch, and which of them can be in one frame; for the assembler."""
 
 from typing import NamedTuple
 
@@ -9,36 +9,36 @@ from tactiled.bus.batch import Batch
 from tactiled.bus.codec import NO_SEQUENCE, Codec, Readings
 
 NOWHERE = np.zeros(0, np.int64)
-DESCENTS_PER_SEGMENT = 8  # segments to a descent at least where each may end a run: `python -m tests.study bus`
+DESCENTS_PER_SEGMENT = 8  # segments: if descents are rarer, each ends a run, which is faster
 
 
 class Arrivals(NamedTuple):
     """The messages (n) of a batch that are not malformed, in order."""
 
     readings: Readings
-    now: float | NDArray[np.float64]  # s, when all came, or each (n,)
-    newest: float | NDArray[np.float64]  # s, the largest of these, so far (n,)
-    rows: NDArray[np.int64] | None  # (n,) numbers in the batch; None: their own
-    # (n,) the last one before each with which it shares no frame by itself: of another sequence number, or of
-    # the same group of ordered segments and not behind it; -1: none
+    now: float | NDArray[np.float64]  # s, arrival of all messages, or of each (n,)
+    newest: float | NDArray[np.float64]  # s, the latest arrival up to each message (n,)
+    rows: NDArray[np.int64] | None  # (n,) row of each message in the batch; None: 0 to n - 1
+    # (n,) the last message before each that cannot be in the same frame: its sequence number differs, or it is of
+    # the same group of ordered segments and this one is not behind it; -1: none
     divided: NDArray[np.int64]
-    descents: list[int]  # those of a segment that is not behind the one before
+    descents: list[int]  # messages whose segment is not behind that of the message before
     times_rise: bool  # the messages' times never step back
 
     def row(self, at: int) -> int:
-        """The number of a message in its batch."""
+        """Row of message `at` in the batch."""
         return at if self.rows is None else int(self.rows[at])
 
 
 def moment(values: float | NDArray[np.float64], at: int) -> float:
-    """One of the times (s) of messages, which may all have the same."""
+    """Time (s) of message `at`; `values` is one time for all messages, or one for each."""
     return values if isinstance(values, float) else float(values[at])
 
 
 def decoded(
     codec: Codec, batch: Batch, now: float | NDArray[np.float64] | None
 ) -> tuple[Arrivals | None, NDArray[np.int64]]:
-    """The messages of a batch, come at `now` (s), that are not malformed, and the numbers of the others."""
+    """The well-formed messages of a batch that arrived at `now` (s), and the rows of the malformed ones."""
     try:
         readings = codec.readings(batch)
     except Exception:  # of another package's codec: none of ours raises here
@@ -73,7 +73,7 @@ def _divided(readings: Readings, codec: Codec) -> tuple[NDArray[np.int64], list[
     divided = np.full(len(segments), -1)
     down = (segments[1:] <= segments[:-1]).nonzero()[0]
     if 0 < down.size * DESCENTS_PER_SEGMENT <= len(segments):
-        divided[down + 1] = down  # ends a run earlier than it must, and costs less to find
+        divided[down + 1] = down  # may end a run too early, but is found faster
     elif down.size:
         groups = (segments // codec.ordered).astype(np.uint16)
         order = np.argsort(groups, kind="stable")

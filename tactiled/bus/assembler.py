@@ -14,13 +14,13 @@ from tactiled.bus.open_frame import Cycle, OpenFrame
 from tactiled.errors import CodecError
 from tactiled.frames import BAD, MISSING, Counts, Loss, Message, RawFrame
 
-# A lower sequence number is of a restarted sender after so long a silence, or after so many frames of lower ones.
+# A lower sequence number means a restarted sender: after a silence of RESTART_S, or after RESTART_FRAMES frames.
 RESTART_S, RESTART_FRAMES = 0.25, 3
 
 
 @dataclass(slots=True)
 class _Others:
-    """Messages of one kind of loss, in order of the places in a batch before which they came."""
+    """Messages of one kind of loss: the rows of a batch before which they came, ascending."""
 
     kind: str
     places: NDArray[np.int64]
@@ -33,19 +33,18 @@ class Assembler:
     A frame is published when its last segment is in, or, marked, when a message of a newer frame comes first or
     `flush` finds it too old. Without sequence numbers (`codec.modulus` None) a segment that comes again, or behind
     one that it always comes before, begins a newer frame. A sender that restarts its sequence numbers is
-    followed at once after a silence, else after RESTART_FRAMES. Of a segment that came twice and not the same
-    neither is used: nobody knows which of two senders is right. A codec's fault, of whatever kind, is a malformed
-    message.
+    followed at once after a silence, else after RESTART_FRAMES. If a segment comes twice with different payloads,
+    neither is used: one of two senders is wrong. Any error of a codec counts as a malformed message.
 
-    Ages and silences are of `now` (s), which is when a message came and never steps back; the times of messages,
-    whose clock may, are data.
+    Ages and silences are computed from `now` (s), the arrival, which never steps back. The times of messages are
+    only data, as their clock may step back.
     """
 
     def __init__(self, codec: Codec, bus_counts: Callable[[], Mapping[str, int]] = dict) -> None:
         """`bus_counts` gives what the bus itself counts, by the names of `Loss`."""
         self.codec, self._bus_counts = codec, bus_counts
-        self._counts = {each.name: 0 for each in fields(Loss)}  # never grows: other threads read it
-        self._loss: Loss | None = None  # of the frame before, while nothing has been counted since
+        self._counts = {each.name: 0 for each in fields(Loss)}  # its keys never change: other threads read it
+        self._loss: Loss | None = None  # of the last frame; None after a new count
         self._open: OpenFrame | None = None
         self._closed = np.zeros(codec.segments, np.bool_)  # segments that the frame closed last had
         self._wire = NO_SEQUENCE  # sequence number, as on the bus, of the newest frame begun
@@ -69,7 +68,7 @@ class Assembler:
 
     @property
     def needed(self) -> int:
-        """How many messages more can make a frame whole at the earliest."""
+        """How many more messages complete the open frame, or the next one."""
         return self.codec.segments if self._open is None else self._open.missing
 
     def push(
@@ -78,10 +77,10 @@ class Assembler:
         now: float | NDArray[np.float64] | None = None,
         foreign: NDArray[np.int64] = NOWHERE,
     ) -> list[tuple[int, RawFrame]]:
-        """Take messages, come at `now` (s; None: their own times); returns the frames they close, oldest first.
+        """Take messages that arrived at `now` (s; None: their own times); returns closed frames, oldest first.
 
-        Each frame comes after the number of the message that closes it. `foreign` are the places in the batch
-        before which the bus had a message that belongs to no sensor.
+        Each frame has the row of the message that closed it. `foreign` are the rows of the batch before which the
+        bus had a message that belongs to no sensor.
         """
         batch = Batch.of((batch,)) if isinstance(batch, Message) else batch
         arrivals, malformed = decoded(self.codec, batch, now)
@@ -102,7 +101,7 @@ class Assembler:
         return self._close() if self._open is not None and self._open.arrived < before else ()
 
     def _take(self, arrivals: Arrivals, at: int, frames: list[tuple[int, RawFrame]]) -> int:
-        """Take message `at`, and with it all behind it that go into the same frame; returns the next."""
+        """Take message `at` and the following ones of the same frame; returns the first message not taken."""
         readings, frame = arrivals.readings, self._open
         segment, now = int(readings.segments[at]), moment(arrivals.now, at)
         sequence = NO_SEQUENCE if readings.sequences is None else int(readings.sequences[at])
@@ -142,7 +141,7 @@ class Assembler:
         return [(row, each) for each in self._close()]
 
     def _end(self, arrivals: Arrivals, at: int, frame: OpenFrame) -> int:
-        """The end of the messages from `at` on that go into a frame one after the other, each its own segment."""
+        """The end of the run of messages from `at` on that go into `frame`, each as a new segment."""
         end = min(at + frame.missing, len(arrivals.divided))
         if end == at + 1:
             return end
@@ -156,7 +155,7 @@ class Assembler:
         return at + 1 + first if stops[first] else end
 
     def _step(self, segment: int, sequence: int, now: float) -> int:
-        """How many frames a message is ahead of the newest one begun; 0: of it; negative: of an older one."""
+        """By how many frames a message is ahead of the newest frame; 0: part of it; negative: of an older one."""
         modulus, frame = self.codec.modulus, self._open
         if modulus is None:
             return int(frame is None or self._begins(frame, segment))
@@ -169,7 +168,7 @@ class Assembler:
         return 1 if old and restarted else step
 
     def _begins(self, frame: OpenFrame, segment: int) -> bool:
-        """Whether a segment without a sequence number cannot be of the open frame."""
+        """Whether a segment without a sequence number begins a new frame."""
         end = (segment // self.codec.ordered + 1) * self.codec.ordered
         if frame.present[segment:end].any() or self._cycle is None:
             return True
@@ -177,7 +176,7 @@ class Assembler:
         return wraps is not None and bool(wraps[0])
 
     def _count_others(self, row: int) -> None:
-        """Count what came before a message of the batch and is in no frame."""
+        """Count the malformed and foreign messages up to a row of the batch."""
         for each in self._others:
             count = int(np.searchsorted(each.places, row, "right"))
             self.count(each.kind, count - each.counted)
@@ -206,7 +205,7 @@ class Assembler:
         return (RawFrame(*fields),)
 
     def _newest_loss(self) -> Loss:
-        """What went wrong so far, on the bus too; made anew only after something did."""
+        """Losses so far, with those of the bus; a new object only after a new count."""
         bus = self._bus_counts()
         if not bus.items() <= self._counts.items():
             self._counts.update(bus)
@@ -225,7 +224,7 @@ class Assembler:
 
 
 def unpacked(codec: Codec, payloads: Sequence[bytes | None]) -> tuple[Counts, NDArray[np.float32] | None]:
-    """The counts (N,) of one frame, and the shear (2, N) of a 3-axis skin; CodecError where they are of no use."""
+    """The counts (N,) of one frame and the shear (2, N) of a 3-axis skin; CodecError for a wrong type or shape."""
     counts: Counts = codec.unpack(payloads)
     if counts.shape != (codec.size,) or counts.dtype not in (np.uint16, np.float32):
         raise CodecError(f"unpack gave {counts.dtype} {counts.shape}, not uint16 or float32 {(codec.size,)}")

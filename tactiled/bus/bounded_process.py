@@ -62,7 +62,7 @@ class BoundedProcess:
         worker, reusable = self._begun(), False
         try:
             batch, error = self._answer(worker)
-            reusable = True  # until more is asked for than is waited for: who wants one item ends no process
+            reusable = True  # False once more batches are requested than read
             yield from batch or ()
             ahead = 2
             while batch is not None:
@@ -160,7 +160,7 @@ class _Worker:
         self.close()
 
     def kill(self) -> None:
-        """End it, whoever waits for its answer."""
+        """End it, also while a thread waits for its answer."""
         self._process.kill()
 
     def close(self) -> int:
@@ -178,7 +178,7 @@ def _end_idle() -> None:
 
 
 def work(descriptor: int) -> None:
-    """Run one generator after the other in this process, until nobody needs it or its parent has ended."""
+    """Run generators one after the other in this process, until it is idle or its parent has ended."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent
     logging.disable()  # a line for each of a million objects
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))

@@ -22,18 +22,18 @@ NO_SEQUENCE = -1
 
 
 class Readings(NamedTuple):
-    """What the messages of a batch (n) carry: `Reading`, a column a field."""
+    """The readings of a batch of n messages: one array for each field of `Reading`."""
 
     times: NDArray[np.float64]  # (n,) s
     segments: NDArray[np.int64]  # (n,)
     payloads: NDArray[Any]  # (n, width) bytes, 0 past a payload's own; or (n,) objects of `bytes`
-    good: NDArray[np.bool_]  # (n,) False of a malformed message, whose other columns are of no use
-    sequences: NDArray[np.int64] | None = None  # (n,) NO_SEQUENCE where there is none; None: nowhere
+    good: NDArray[np.bool_]  # (n,) False: malformed, the other arrays mean nothing
+    sequences: NDArray[np.int64] | None = None  # (n,) NO_SEQUENCE: none; None: no message has one
     bad: Mapping[int, tuple[int, ...]] = {}  # taxels that the sensor calls out of range, by row
 
 
 class Rows(Sequence[bytes | None]):
-    """The payloads of a frame as an array; as a sequence, what `Codec.unpack` is given."""
+    """The payloads of a frame as an array; also the sequence that `Codec.unpack` takes."""
 
     def __init__(self, data: NDArray[np.uint8], present: NDArray[np.bool_]) -> None:
         """`data` (segments, width), 0 where not `present` (segments,)."""
@@ -92,7 +92,7 @@ class Codec(ABC):
 
     @cached_property
     def ends(self) -> tuple[float, float]:
-        """Counts at which a reading goes no lower and no higher; infinite where nobody knows."""
+        """Lowest and highest possible count; infinite if unknown."""
         return (0, self.full_scale) if whole_counts(self) else (-np.inf, np.inf)
 
     @cached_property
@@ -102,12 +102,12 @@ class Codec(ABC):
 
     @cached_property
     def ordered(self) -> int:
-        """Neighbouring segments that always come in order: what a skin without sequence numbers is paired by."""
+        """Number of neighbouring segments that always come in order; separates frames without sequence numbers."""
         return 1
 
     @cached_property
     def polling(self) -> Polling:
-        """What is sent to a skin that must be started or asked."""
+        """Messages to a skin that must be started or asked."""
         return Polling()
 
     @abstractmethod
@@ -119,7 +119,7 @@ class Codec(ABC):
         """One message on one of `ids`; CodecError where it is malformed."""
 
     def readings(self, batch: Batch) -> Readings:
-        """What a batch carries; by default message after message by `decode`, whatever that raises."""
+        """Readings of a batch; by default message by message with `decode`: any exception means malformed."""
         count = len(batch)
         times, segments, good = batch.times.copy(), np.zeros(count, np.int64), np.zeros(count, np.bool_)
         sequences, payloads = np.full(count, NO_SEQUENCE), np.full(count, None, object)
@@ -225,7 +225,7 @@ class Traffic(dict[Key, list[Message]]):
         return [each for key in keys for each in self[key]]
 
     def even(self, keys: Iterable[Key]) -> bool:
-        """Whether ids came as often as one another, but for what was cut at the ends or lost."""
+        """Whether these ids came equally often, apart from losses and cut ends."""
         counts = [len(self[key]) for key in keys]
         return max(counts) - min(counts) <= 2 + 0.1 * max(counts)
 

@@ -1,4 +1,4 @@
-"""Whether what a bus's driver failed at was one message or the bus itself."""
+"""Tells errors of a driver about one message from those of the bus itself."""
 
 import os
 import select
@@ -8,7 +8,7 @@ from math import isfinite
 
 from tactiled.bus.canbus import BusABC, CanMessage, SlcanBus
 
-MAX_UNREADABLE_IN_A_ROW = 1000  # without a frame or a silence between: more is a driver that fails, not traffic
+MAX_UNREADABLE_IN_A_ROW = 1000  # without a frame or a silence between; more means that the driver fails
 MAX_LINE_BYTES = 1024  # of a line of slcan without its end; its longest message has 138
 CONTENT_ERRORS = (ValueError, IndexError, struct.error)  # what malformed bytes make a driver raise
 HUNG_UP = select.POLLHUP | select.POLLERR | select.POLLNVAL
@@ -23,7 +23,7 @@ def is_gone(error: Exception, bus: BusABC) -> bool:
 
 
 def is_sound(message: CanMessage | None, bus: BusABC) -> bool:
-    """Whether what a driver decoded, None if nothing, can be: a garbled line may look like a message to it."""
+    """Whether a decoded frame is possible: a driver may read a garbled line as a message."""
     if message is None:
         return not isinstance(bus, SlcanBus) or len(bus._buffer) < MAX_LINE_BYTES
     id_, dlc = message.arbitration_id, message.dlc
@@ -35,7 +35,7 @@ def is_sound(message: CanMessage | None, bus: BusABC) -> bool:
 
 
 def skip(bus: BusABC) -> None:
-    """Go behind what could not be decoded: slcan's driver would meet the same bytes again."""
+    """Skip bytes that could not be decoded; slcan's driver would read them again."""
     if isinstance(bus, SlcanBus):
         bus._buffer.clear()
 

@@ -9,16 +9,16 @@ from numpy.typing import NDArray
 from tactiled.bus.arrivals import Arrivals, moment
 from tactiled.bus.codec import Codec, Rows
 
-UNLEARN_FRAMES = 16  # in a row that are not whole, after which a learned order is forgotten
-SILENT_FRAMES = 8  # in a row that lack a segment, after which it is silent and not lost
-SEAM_FRAMES = 3  # in a row with their longest pause at the same place, after which that place is their beginning
+UNLEARN_FRAMES = 16  # incomplete frames in a row, after which a learned order is forgotten
+SILENT_FRAMES = 8  # frames in a row without a segment, after which it counts as silent, not as lost
+SEAM_FRAMES = 3  # frames in a row with the longest pause at one place, after which frames begin there
 
 
 class OpenFrame:
     """A frame of which not every segment has come yet."""
 
     def __init__(self, codec: Codec, payloads: NDArray[Any], time: float) -> None:
-        """`payloads` are some of the codec's, `time` (s) is of one of the frame's messages."""
+        """`payloads` give the type and width; `time` (s) is that of one of the frame's messages."""
         self.began = self.ended = time
         self.arrived = 0.0  # s, when its newest message came
         self.payloads = np.zeros((codec.segments, *payloads.shape[1:]), payloads.dtype)
@@ -26,12 +26,12 @@ class OpenFrame:
         self.missing = codec.segments
         self.bad: list[int] = []
         self.highest = -1
-        self.disputed: set[int] = set()  # segments that came twice and not the same
+        self.disputed: set[int] = set()  # segments that came twice, with different payloads
         self.segments: list[NDArray[np.int64]] = []  # in the order of arrival
         self.times: list[NDArray[np.float64]] = []  # s, the same
 
     def add(self, arrivals: Arrivals, some: slice, ascending: bool) -> None:
-        """Take messages of segments that are not there yet, in `ascending` order or any."""
+        """Take messages of segments that have not come yet; `ascending`: in ascending order."""
         readings, last = arrivals.readings, some.stop - 1
         segments, times = readings.segments[some], readings.times[some]
         places: slice | NDArray[np.int64] = segments
@@ -52,7 +52,7 @@ class OpenFrame:
         self.began, self.ended = min(self.began, float(began)), max(self.ended, float(ended))
 
     def late(self, segments: NDArray[np.int64], ascending: bool) -> int:
-        """How many of some segments come behind a later one."""
+        """How many of these segments come after a segment that follows them in the frame."""
         if ascending and segments[0] > self.highest:
             self.highest = int(segments[-1])
             return 0
@@ -61,7 +61,7 @@ class OpenFrame:
         return int(np.count_nonzero(highest[1:] > segments))
 
     def blocked(self, ordered: int) -> NDArray[np.bool_]:
-        """Which segments no longer go into it: it has them, or one behind them in their group of `ordered`."""
+        """Which segments it no longer accepts: it has them, or a later one of their group of `ordered`."""
         if ordered == 1:
             return self.present
         groups = np.zeros((-(-len(self.present) // ordered), ordered), np.bool_)
@@ -86,9 +86,8 @@ class OpenFrame:
 class Cycle:
     """The order in which a skin without sequence numbers sends its segments, learned from whole frames.
 
-    A frame that lacks nothing but silent segments is whole, too. Without the order the first messages of a frame
-    could take the place of the same ones lost from the frame before, and every frame from there on would be put
-    together from two.
+    A frame that lacks only silent segments is whole, too. Without the order, the first messages of a frame could
+    fill in for messages that the frame before lost. From then on every frame would consist of two halves.
     """
 
     def __init__(self) -> None:
@@ -96,11 +95,11 @@ class Cycle:
         self._length = 0  # segments that were not silent when the order was learned
         self._absent: NDArray[np.int64] | int = 0  # frames in a row that lacked each segment
         self._broken = 0  # frames in a row that were not whole
-        self._seam: int | None = None  # a segment within frames behind a long pause
-        self._seams = 0  # frames in a row with that seam
+        self._seam: int | None = None  # the segment before which the longest pause is; None: the first
+        self._seams = 0  # frames in a row with this `_seam`
 
     def wraps(self, segments: NDArray[np.int64]) -> NDArray[np.bool_] | None:
-        """Which of some segments, from the second on, is so far back in the order that it begins a new frame.
+        """Which of these segments, from the second on, are so far back in the order that they begin a new frame.
 
         None: no order is known.
         """
@@ -137,7 +136,7 @@ class Cycle:
         self._rank = np.empty(len(frame.present), np.int64)
         self._rank[segments] = (np.arange(self._length) - first) % self._length
         if frame.missing:
-            for each in np.flatnonzero(~frame.present).tolist():  # it would come right behind its neighbour
+            for each in np.flatnonzero(~frame.present).tolist():  # placed right behind its neighbour
                 self._rank[each] = self._rank[each - 1] if each else 0
 
     def _is_whole(self, frame: OpenFrame) -> bool:

@@ -85,7 +85,7 @@ class Reader:
         return None
 
     def _recv(self, timeout: float) -> CanMessage | None:
-        """What python-can's `recv` does, by a clock that nobody sets: its own hangs where that steps back."""
+        """As python-can's `recv`, but by the monotonic clock: python-can's hangs if the wall clock steps back."""
         end = time.monotonic() + timeout
         while True:
             frame, filtered = self._bus._recv_internal(timeout=max(0.0, end - time.monotonic()))

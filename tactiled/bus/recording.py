@@ -31,7 +31,7 @@ from tactiled.frames import Message
 
 MAX_ID = (1 << 29) - 1
 MAX_TIME_S = 1 << 32  # Unix time in 2106: no message is younger, and Foxglove's times go no further
-MAX_PAUSE_S = 10.0  # that is played: a longer one is a step of the clock, or nobody waits for its end
+MAX_PAUSE_S = 10.0  # longest pause that is played; a longer one is shortened
 MAX_BACK_S = 1.0  # more than messages of several buses are out of order by; so much is played of a step back
 END_CUT = "its end is cut off"
 MAX_MESSAGES, MAX_MESSAGES_PER_BYTE = 1000, 4  # of a file; gzip needs 2.5 bytes for one that says nothing new

@@ -16,7 +16,7 @@ from tactiled.errors import ConfigError, TactileError
 from tactiled.frames import Message, RawFrame
 from tactiled.threads import join_started
 
-AT_ONCE = 1024  # messages for which nobody waits: more save no time
+AT_ONCE = 1024  # messages decoded at once; more save no time
 GAP_S = 0.05  # of silence after which a half-received frame is closed, as on a bus
 LOG = logging.getLogger(__name__)
 

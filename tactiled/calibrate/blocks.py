@@ -1,4 +1,4 @@
-"""Blocks of successive frames, and what a block says of each taxel: mean, span and noise."""
+"""Blocks of successive frames: mean, span and noise of each taxel."""
 
 from functools import cached_property
 

@@ -44,7 +44,7 @@ def unknown_notes(joint: Joint) -> tuple[str, ...]:
 
 
 def _is_size_unknown(joint: Joint) -> bool:
-    """Whether nobody gave a diameter."""
+    """Whether no diameter was given."""
     return isinstance(joint.touch, TipTouch) and joint.touch.tip.diameter_mm is None
 
 

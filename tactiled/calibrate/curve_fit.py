@@ -161,7 +161,7 @@ def _basis(form: Form, relative: Floats, weight: Floats) -> Floats:
 
 
 def _solve(form: Form, relative: Floats, pressure: Floats, weight: Floats) -> tuple[Floats, Floats]:
-    """Parameters (N, P) by threshold squares, held monotone, and the design (M, N, P) at the solution."""
+    """Parameters (N, P) by least squares, held monotone, and the design (M, N, P) at the solution."""
     if form == "power":
         return _solve_power(relative, pressure, weight)
     design = _basis(form, relative, weight)

@@ -20,9 +20,9 @@ from tactiled.frames import Loss
 from tactiled.runtime.sensor import Sensor
 from tactiled.threads import FRAME_LOCK, join_started
 
-POLL_S = 0.05  # how long a read waits: bounds how late a stop, or the end of a half-received frame, is seen
-BUSY_S = 0.5  # without a message until a half-received frame ends on a bus that others keep busy
-MAX_FULL_BATCHES = 8  # in a row, with newer messages behind each, until a frame is restored all the same
+POLL_S = 0.05  # longest wait of a read: bounds the delay of a stop, and of the end of an incomplete frame
+BUSY_S = 0.5  # without a message of a sensor, until its incomplete frame ends on a busy bus
+MAX_FULL_BATCHES = 8  # full batches in a row, after which a frame is restored although newer messages wait
 BACK_OFF_S = (0.2, 5.0)  # first and longest wait before a lost bus is opened again
 LOG = logging.getLogger(__name__)
 
@@ -32,7 +32,7 @@ class BusThread:
 
     def __init__(self, name: str, settings: dict[str, Any], sensors: dict[str, Sensor]) -> None:
         self.name, self._sensors, self._bus_settings = name, sensors, settings
-        self._next_sensors: dict[str, Sensor] | None = None  # that another thread has asked for
+        self._next_sensors: dict[str, Sensor] | None = None  # set by another thread, taken by this one
         self._exchanged = threading.Event()  # it has them
         self._route()
         self._counts: Counter[str] = Counter()  # of readers before this one
@@ -41,7 +41,7 @@ class BusThread:
         self._down: str | None = None
         self.turns = 0  # of its thread's loop; it stands still only if the thread hangs
         self._poller = Poller(each.codec.polling for each in sensors.values())
-        self._offered: dict[str, Sensor] = {}  # whose frames nobody has begun to restore
+        self._offered: dict[str, Sensor] = {}  # sensors with a frame that waits to be restored
         self._stop = threading.Event()
         self._reader: Reader | None = None
         self._thread = self._new_thread()
@@ -60,7 +60,7 @@ class BusThread:
         """Go on after a stop; a bus that cannot be opened again is down until it can."""
         self._stop.clear()
         self._thread = self._new_thread()
-        with suppress(BusError):  # the thread meets it again
+        with suppress(BusError):  # the thread gets the same error and tries again
             self.open()
         self._thread.start()
 
@@ -73,13 +73,13 @@ class BusThread:
         self._close_reader()
 
     def introduce(self, sensor: Sensor) -> None:
-        """Show what the bus has counted at a sensor that is to come: a count of the bus never falls."""
+        """Give a new sensor the counts of the bus, so that they never fall."""
         sensor.counts, sensor.errors = lambda: Loss(**self._bus_counts()), self._error_kinds
 
     def exchange(self, sensors: dict[str, Sensor]) -> None:
-        """Go on with these sensors; those that it has already lose nothing. Any other thread.
+        """Read for these sensors from now on; those that stay lose no frame. Called by another thread.
 
-        Its thread has taken them at the return, unless the bus is down or the thread hangs.
+        On return its thread has taken them, unless the bus is down or the thread hangs.
         """
         for sensor in sensors.values():
             sensor.down = self._down
@@ -136,7 +136,7 @@ class BusThread:
                 self._read(self._reader)
             except BusError as error:
                 reason = str(error)
-            except Exception as error:  # of ours: no reason to go silent
+            except Exception as error:  # a fault of this program must not end the thread
                 reason = f"bus {self.name}: the service failed at it: {type(error).__name__}: {error}"
                 fault = error
             else:
@@ -151,9 +151,9 @@ class BusThread:
             wait, last_reason = min(2 * wait, BACK_OFF_S[1]), reason
 
     def _read(self, reader: Reader) -> None:
-        """Take messages until the stop; BusError where the bus goes, and whatever else is raised."""
+        """Take messages until the stop; BusError if the bus fails."""
         self._poller.start(time.monotonic())
-        full = 0  # batches in a row behind which newer messages may wait
+        full = 0  # full batches in a row: newer messages may wait
         while not self._stop.is_set():
             self.turns += 1
             self._exchange()
@@ -195,7 +195,7 @@ class BusThread:
             return self._kinds + Counter(self._reader.kinds if self._reader else {})
 
     def _loss(self, assembler: Assembler) -> Loss:
-        """Losses by now on a sensor's way in; any thread."""
+        """Losses of a sensor until now; any thread."""
         return replace(assembler.loss, **self._bus_counts())
 
     def _set_down(self, reason: str | None) -> None:

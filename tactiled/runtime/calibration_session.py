@@ -31,7 +31,7 @@ NEXT_STATE: dict[tuple[State, Action], State] = {
     ("fitted", "apply"): "ended",
     ("fitted", "discard"): "ended",
 }
-IDLE_S = 300.0  # without a request until a session ends: a client has gone away, a person only rests
+IDLE_S = 300.0  # without a request until a session ends; long enough for a person to pause
 QUALITY_PERIOD_S = 1.0  # between two looks for presses
 MARK_S = 2.0  # of frames at most, whose mean is taken as a known load
 
@@ -51,7 +51,7 @@ class CalibrationSession:
         self._clock, self._lock = clock, threading.RLock()
         self._quality: tuple[float, int, Quality] | None = None  # when it was made, of how many frames
         self._marked_frames = 0  # by the last mark
-        self._process = FitProcess()  # of the newest fit: what an older one gives is dropped
+        self._process = FitProcess()  # of the newest fit; results of older fits are dropped
         self._touched_at = clock()
         self._stop_collecting = sensor.frames.subscribe(self._take)
 
@@ -65,14 +65,14 @@ class CalibrationSession:
         return self._clock() - self._touched_at > IDLE_S
 
     def lapsed(self) -> bool:
-        """Whether it ended because its client has gone away; waits for nothing while its client is here."""
+        """Whether it ended because its client has gone away; takes no lock while the client is here."""
         if not self.idle:
             return False
         self.discard()
         return True
 
     def quality(self) -> Quality:
-        """What the frames so far are good for, looked at once a second at most, and not during a fit."""
+        """Quality of the frames so far; updated once a second at most, and not during a fit."""
         with self._lock:
             now, last = self._clock(), self._quality
             is_due = last and now - last[0] >= QUALITY_PERIOD_S and last[1] != len(self.collector)
@@ -147,7 +147,7 @@ class CalibrationSession:
             self.collector.add(frame)
 
     def _fit(self, process: FitProcess, series: FrameSeries) -> None:
-        """Fit on this thread, and keep what comes of it unless it is no longer wanted."""
+        """Fit on this thread, and keep the result unless the fit was cancelled."""
         outcome, error = None, ""
         try:
             outcome = self.procedure.fit(series, process)

@@ -11,7 +11,7 @@ from tactiled.runtime.hub import Hub
 from tactiled.threads import join_started
 
 LOOK_S = 0.05  # from one look to the next
-ASKED_S = 5.0  # that looking goes on after somebody has asked
+ASKED_S = 5.0  # looks go on for so long after a request
 
 
 class ImageContacts:
@@ -28,7 +28,7 @@ class ImageContacts:
 
 
 class ContactTracking:
-    """Looks for contacts when it is asked, and in between on a thread of its own, so that none moves on unseen."""
+    """Looks for contacts on request, and in between on its own thread, so that none is lost between requests."""
 
     def __init__(self, name: str, hub: Hub, array: Array, cells: Cells) -> None:
         self._hub = hub
@@ -70,7 +70,7 @@ class ContactTracking:
 
     def _work(self) -> None:
         while self._wait():
-            with suppress(Exception):  # whoever asks meets it, too
+            with suppress(Exception):  # the next request raises the same error
                 self._look()
 
     def _wait(self) -> bool:

@@ -10,7 +10,7 @@ from typing import TypeVar, TypeVarTuple, cast
 
 from threadpoolctl import threadpool_limits
 
-SPAWN = multiprocessing.get_context("spawn")  # a fork would copy the service's threads' locks as they are
+SPAWN = multiprocessing.get_context("spawn")  # a fork would copy locks that other threads hold
 NICENESS = 10
 Arguments = TypeVarTuple("Arguments")
 Outcome = TypeVar("Outcome")
@@ -28,7 +28,7 @@ class FitProcess:
         self._process: multiprocessing.process.BaseProcess | None = None
 
     def run(self, function: Callable[[*Arguments], Outcome], *arguments: *Arguments) -> Outcome:
-        """The outcome of a module's function, or what it raises; Cancelled where it is, or has been."""
+        """The result of a module's function, or its exception; Cancelled after `cancel`."""
         receiver, sender = SPAWN.Pipe(duplex=False)
         with receiver:
             with sender, self._lock:

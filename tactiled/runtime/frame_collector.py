@@ -41,7 +41,7 @@ class FrameCollector:
         counts = frame.counts.astype(np.float32)
         counts[frame.flags & (MISSING | BAD) > 0] = np.nan
         self._times.append(frame.arrived)
-        self._counts.append(counts)  # last: a reader counts these
+        self._counts.append(counts)  # appended last: readers take its length
 
     def series(self, first: int = 0, seconds: float = np.inf) -> FrameSeries:
         """The frames from number `first` on, of the last `seconds` only."""

@@ -26,7 +26,7 @@ Frames = NDArray[Any]
 
 
 class FrameInfo(NamedTuple):
-    """What is known of one restored frame besides its image."""
+    """How one frame was restored."""
 
     method: str
     why: str
@@ -42,7 +42,7 @@ def open_frames(path: Path, plan: SensorPlan) -> Frames:
         raise ConfigError(
             f"{path}: {error.strerror or 'no .npy file'}: give frames in {plan.unit} as .npy"
         ) from error
-    except Exception as error:  # numpy reads the header as Python's text, which goes wrong in many ways
+    except Exception as error:  # numpy evaluates the header as Python text: any error is possible
         raise ConfigError(
             f"{path}: no complete .npy file of numbers: give frames in {plan.unit} as .npy"
         ) from error

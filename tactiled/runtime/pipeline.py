@@ -40,9 +40,9 @@ class Pipeline:
     """
 
     def __init__(self, plan: SensorPlan, before: "Pipeline | None" = None, start: Start = call) -> None:
-        """`before` ran until now, of the same array by another calibration: its method and noise are a start.
+        """`before` is the present pipeline of the same array: its method and noise are kept at first.
 
-        `start` runs what takes longer than a frame: on a thread, or at once, for the same warnings always.
+        `start` runs what takes longer than a frame: on a thread, or at once, for the same warnings in every run.
         """
         self._plan = plan
         size = plan.array.size
@@ -80,7 +80,7 @@ class Pipeline:
         self._tare_frames.start(time, force)
 
     def load_description(self) -> str:
-        """What of a load the newest frames show, in words; "" for none."""
+        """Description of the load in the newest frames; "" for none."""
         return load_description(self._recent, self.noise.kpa, self._plan.unit)
 
     def lapse_tare(self) -> None:
@@ -169,7 +169,7 @@ class Pipeline:
         return restorer
 
     def _weigh_taxels(self) -> None:
-        """Have noisy taxels restored by what they are worth, as far as the noise of each is known."""
+        """Weight noisy taxels by their noise, where it is known."""
         noise_kpa = self.calibrator.noise_kpa(self.monitor.noise_counts)
         ratio = noise_ratio(noise_kpa, self.noise.kpa, self._noise_ratio)
         if ratio is not self._noise_ratio:
@@ -177,7 +177,7 @@ class Pipeline:
             self._restorer.weigh(ratio)
 
     def process(self, frame: RawFrame, budget_s: float = inf, came: tuple[float, float] | None = None) -> Image:
-        """Image of one frame; everything known against it is NaN, a flag or a warning.
+        """Image of one frame; every doubt about it is NaN, a flag or a warning.
 
         Restoring it ends after `budget_s` of processor time with the best image until then, where its method can.
         `came` is when it arrived and was assembled (s, monotonic); None: now.
@@ -229,7 +229,7 @@ class Pipeline:
     def _check(
         self, raw: NDArray[np.float32], flags: NDArray[np.uint8], done: Restored, budget_s: float
     ) -> tuple[FrameWarning, ...]:
-        """All that is known against an image."""
+        """Warnings of an image."""
         doubtful = flags if self._noise_ratio is None else flags | (self._noise_ratio > 1).reshape(flags.shape)
         checked = self._checks(raw, doubtful, done.image, self.noise.kpa, done.method)
         if done.cut_short:
@@ -244,7 +244,7 @@ class Pipeline:
         return (warning("wrong_map", wrong=", ".join(wrong)),) if wrong else ()
 
     def _apply_tare(self, frame: RawFrame) -> None:
-        """Take a frame into a tare under way, and its zero once it is complete and has met no load."""
+        """Add a frame to a tare under way; apply its zero once it is complete, unless there was a load."""
         frames = self._tare_frames.add(frame)
         if frames is None:
             return

@@ -28,7 +28,10 @@ from tactiled.runtime.recorded_frames import FrameFiles
 from tactiled.units import FORCE_SCALES
 
 HEADS_AT_ONCE = 4096  # in memory
-PAST_EVERY_FRAMES, MAX_PASTS = 256, 512  # what the hysteresis knows is kept, to go on from there, so many times
+PAST_EVERY_FRAMES, MAX_PASTS = (
+    256,
+    512,
+)  # the state of the hysteresis is kept every so many frames, at most so many times
 MAX_POINTS = 600  # of an overview: a point for each pixel or two of a chart
 
 
@@ -82,7 +85,7 @@ class Playback:
         return pressure.reshape(self.plan.array.frame_shape), flags.reshape(self.plan.array.frame_shape)
 
     def _follow(self, number: int, frame: RawFrame) -> None:
-        """Have the hysteresis know all frames up to this one, as if they had been played in their order."""
+        """Bring the hysteresis to its state at this frame, as after playing all frames before it in order."""
         if (past := self._calibrator.past) is None:
             return
         if number == self._next - 1:

@@ -47,7 +47,7 @@ _losses = attrgetter(*LOSSES)
 
 
 class SharedFile:
-    """A file without a name, which nothing survives that ends the service; one other process may write it."""
+    """A file without a name, which ends with the service; one other process may write it."""
 
     def __init__(self, file: Any) -> None:
         self._file = file
@@ -145,7 +145,7 @@ def check_goes_on(parent: int, folder: Path, leave_mb: float) -> None:
 
 
 def _version(path: Path) -> tuple[int, int]:
-    """What differs where a file was written anew: time of change and size."""
+    """Time of change and size: they differ after a file was written again."""
     status = path.stat()
     return status.st_mtime_ns, status.st_size
 
@@ -206,7 +206,7 @@ class RecordedFrames(FrameFiles):
         super().__init__({name: each.size for name, each in codecs.items()}, files)
         self.error = ""  # why it, or its reading, ended early
         self.caveats: list[str] = []  # what else it has, or is in doubt, once it is read
-        self._may_pass = self.answered = False  # that reason; whoever opens it has answered that it failed
+        self._may_pass = self.answered = False  # `error` may pass; a client was answered with it
         self._process = FitProcess()
         self._thread = Thread(target=self._read, args=(codecs,), name=f"read {path.name}", daemon=True)
         self._thread.start()

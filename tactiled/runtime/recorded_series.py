@@ -107,7 +107,7 @@ class RecordedSeries:
 
     @property
     def given_up(self) -> bool:
-        """Whether it ended early because nobody asked for it."""
+        """Whether it ended early because no client asked for it."""
         return not (self.running or self.error) and self.measured < self.frames
 
     @property

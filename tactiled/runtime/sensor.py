@@ -89,7 +89,7 @@ class Sensor:
         self.ended: str | None = None  # how the recording that was replayed ended
         self.counts: Callable[[], Loss] | None = None  # what its bus has counted by now
         self.errors: Callable[[], Mapping[str, int]] = dict  # error frames of its bus by now, by kind
-        self.budget_share = BUDGET_SHARE  # by the number of sensors that the service has
+        self.budget_share = BUDGET_SHARE  # set by the service, from the number of its sensors
         self.newest: RawFrame | None = None  # in counts; its image may not be made yet
         self._clock = clock
         self._tracking = ContactTracking(plan.name, self.hub, plan.array, plan.cells)
@@ -338,7 +338,7 @@ class Sensor:
         return None if self._arrived_at is None else max(0.0, self._clock() - self._arrived_at)
 
     def _judge(self, age: float | None) -> tuple[State, str]:
-        """State and detail: the first of these that holds."""
+        """State and detail: the first condition that holds."""
         if self.down is not None:
             return "down", self.down
         if self.ended is not None:

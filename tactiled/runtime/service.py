@@ -43,7 +43,7 @@ class Service:
         self.renew_tls: Callable[[], str | None] = lambda: None  # name of a renewed certificate; ConfigError
         self._reload_lock = Lock()  # one reload at a time, which may take long
         self._change_lock, self._stopped = Lock(), False  # what runs is changed, or stopped
-        self._set_lock = Lock()  # the method that is kept is the one that runs, whoever sets at once
+        self._set_lock = Lock()  # two requests at once keep the method that runs
         self.buses = {name: bus.settings() for name, bus in config.bus.items()}
         plans = {plan.name: plan for plan in sensor_plans(config, report)}
         self.sensors = self._make_sensors(plans)  # replaced by a reload, never changed

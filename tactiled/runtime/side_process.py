@@ -1,4 +1,4 @@
-"""Work for which no frame may wait, in one process beside the service's, which stays until nobody needs it."""
+"""Work that must not delay frames, in one extra process, which ends when it is idle."""
 
 from collections.abc import Callable
 from contextlib import suppress

@@ -111,7 +111,7 @@ class Turns:
             self._waiting -= Counter((client,))
         try:
             if await request.is_disconnected():
-                return Response()  # nobody reads it
+                return Response()  # the client has left
             return await asyncio.get_running_loop().run_in_executor(self._thread, make)
         finally:
             self._lock.release()

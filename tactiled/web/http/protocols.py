@@ -184,7 +184,7 @@ class WebSocket(WebSocketsSansIOProtocol):
         super().send_receive_event_to_app()
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Let an application that waits see that there is nobody left."""
+        """End the wait of an application whose client has left."""
         self._keeps_up.set()
         super().connection_lost(exc)
 

@@ -72,7 +72,7 @@ async def _next(log: EventLog, after: int, wait_s: float) -> None:
     loop, happened = asyncio.get_running_loop(), asyncio.Event()
 
     def wake(_: object) -> None:  # on any thread
-        with suppress(RuntimeError):  # a loop that has ended has nobody who waits
+        with suppress(RuntimeError):  # a closed loop has no waiting request
             loop.call_soon_threadsafe(happened.set)
 
     unsubscribe = log.subscribe(wake)

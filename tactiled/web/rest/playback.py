@@ -114,7 +114,7 @@ class Playbacks:
         self._open: dict[tuple[str, str], RecordedFrames] = {}  # by file and bus, the one used last at the end
         self._noise_frames, self._restoring = lru_cache(MAX_OPEN)(noise_frames), lru_cache(MAX_OPEN)(Playback)
         self._lock = Lock()  # of what is open
-        self._idle: Timer | None = None  # that closes what nobody has asked for, while anything is open
+        self._idle: Timer | None = None  # closes unused recordings, while any is open
         self.series = SeriesRuns()
 
     def recorded(self, path: Path, service: Service, bus: str) -> RecordedFrames:
@@ -149,7 +149,7 @@ class Playbacks:
         self._idle.start()
 
     def _close_idle(self) -> None:
-        """Close what nobody has asked for, and look again when the next may be so."""
+        """Close recordings that no client has used for IDLE_S, and set the timer for the next."""
         with self._lock:
             now = time.monotonic()
             for key in [key for key, each in self._open.items() if now - each.used_at >= IDLE_S]:

@@ -56,7 +56,7 @@ async def trace(sensor: NamedSensor, request: Request) -> Trace:
             future.set_result((image, published))
 
     def publish(image: Image) -> None:  # on the sensor's thread
-        with suppress(RuntimeError):  # a loop that has ended has nobody who waits
+        with suppress(RuntimeError):  # a closed loop has no waiting request
             loop.call_soon_threadsafe(take, image, time.monotonic())
 
     waiting: ConcurrencyLimit = request.app.state.waiting

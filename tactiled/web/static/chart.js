@@ -93,7 +93,7 @@ export class Chart {
     this._axesContext = context2d(document.createElement("canvas"));
     /** What is painted there. */
     this._paintedAxes = { left: NaN, right: NaN, bottom: NaN, top: NaN, x: "", y: "", ratio: NaN, ink: this._ink };
-    /** Size of the part with the lines, CSS px, and CSS px a unit; in fields, for as arguments they would be garbage. */
+    /** Size of the part with the lines, CSS px, and CSS px a unit; kept in fields: passing them would allocate numbers. */
     this._w = this._h = this._sx = this._sy = 0;
   }
 

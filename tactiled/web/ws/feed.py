@@ -134,8 +134,8 @@ class Feed:
 class _NewImages:
     """Images on their way from worker threads to the event loop, of each feed the newest.
 
-    The loop takes all of them in one turn of FRAME_LOCK: threads that take the interpreter from each other in the
-    middle of a frame, or of what clients are sent, spend time on that.
+    The loop takes all of them in one turn of FRAME_LOCK: every switch between threads in the middle of a frame
+    costs time.
     """
 
     def __init__(self) -> None:
@@ -162,7 +162,7 @@ class _NewImages:
             for feed, image in images.items():
                 try:
                     feed.take(image)
-                except Exception as error:  # the others' clients have nothing to do with it
+                except Exception as error:  # must not disturb clients of other sensors
                     loop.call_exception_handler({"message": f"stream of {feed.sensor.name}", "exception": error})
 
 

@@ -188,7 +188,7 @@ class Stream:
         self._listen_to(line)
 
     def _add(self, line: _Line) -> None:
-        """Send what is new of a sensor at once to a client that keeps up: a task's turn costs as much as that."""
+        """Send new messages of a sensor at once if the client keeps up: waking a task would double the cost."""
         if self._lines.get(line.feed.sensor.name) is not line or self._has_nothing(line):
             return
         self._due[line] = None
@@ -201,7 +201,7 @@ class Stream:
             self._wake.set()
 
     def _has_nothing(self, line: _Line) -> bool:
-        """Whether `_send_line` would send nothing, which is so at every second turn of a client that pulls."""
+        """Whether `_send_line` would send nothing: true at every second call with flow=credit."""
         feed, query = line.feed, self._query
         waits = query.flow == "credit" and not self._credit[feed.sensor.name]
         if query.contacts == "1" or not (waits or feed.image is line.image):
@@ -214,7 +214,7 @@ class Stream:
             self._take_request(parse_next(await receive(self._socket), list(self._credit)))
 
     def _take_text(self, text: str) -> bool:
-        """Take a client's request at once; whether it is one, else `_listen` gets it and ends the stream."""
+        """Take a client's request at once; False if it is none: then `_listen` gets it and ends the stream."""
         try:
             names = parse_next(text, list(self._credit))
         except ValueError:
@@ -223,7 +223,7 @@ class Stream:
         return True
 
     def _take_request(self, names: Sequence[str]) -> None:
-        """Let the client have an image more of each, sent later: the time for its messages is limited."""
+        """Grant the client one more image of each sensor; it is sent later, as taking messages must be quick."""
         for name in names:
             self._credit[name] = min(self._credit[name] + 1, MAX_CREDIT)
             if name in self._lines and not self._has_nothing(self._lines[name]):
@@ -290,7 +290,7 @@ class Stream:
             return
         if line.search is None:
             line.search = line.feed.contacts()
-            if not line.search.done():  # a callback of one that is done would wake at every turn again
+            if not line.search.done():  # a finished search would call back at once, again and again
                 line.search.add_done_callback(lambda _: line.wake())
         if not line.search.done():
             return
