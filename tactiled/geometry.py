@@ -6,7 +6,6 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import Delaunay, QhullError, cKDTree
 
 from tactiled.errors import ConfigError
 
@@ -147,8 +146,11 @@ def tiling(array: Array, refine: int = 1) -> Cells:
         y, x = np.mgrid[:rows, :columns] * side
         low = array.positions.min(axis=0) - (array.pitch - side) / 2
         return Cells(np.column_stack([x.ravel(), y.ravel()]) + low, side, np.arange(rows * columns))
+    from scipy.spatial import cKDTree  # here: what reads a recording of a grid starts in half the time
+
     tree = cKDTree(array.positions)
-    spacings = _spacings(tree, array)
+    near = min(NEIGHBOURS, array.size - 1) + 1  # the first is the taxel itself
+    spacings = _spacings(array, *map(np.asarray, tree.query(array.positions, k=near)))
     spacing, reach = float(np.median(spacings)), RIM_SPACINGS * spacings
     side = min(spacing, 2 * array.pitch) / SQUARES_PER_SPACING
     low, high = array.positions.min(axis=0) - reach.max(), array.positions.max(axis=0) + reach.max()
@@ -165,12 +167,10 @@ def tiling(array: Array, refine: int = 1) -> Cells:
     return Cells(pieces[within], side, owner[within].astype(np.int64))
 
 
-def _spacings(tree: cKDTree, array: Array) -> NDArray[np.float64]:
+def _spacings(array: Array, distances: NDArray[np.float64], taxels: NDArray[np.int64]) -> NDArray[np.float64]:
     """A layout's spacing (N,) in mm: mean distance to the nearest, the median of these and the taxel's own."""
-    near = min(NEIGHBOURS, array.size - 1) + 1  # the first is the taxel itself
-    if near == 1:
+    if array.size == 1:
         return np.array([array.pitch])
-    distances, taxels = (np.asarray(each) for each in tree.query(array.positions, k=near))
     return np.asarray(np.median(distances[:, 1:].mean(axis=1)[taxels], axis=1))
 
 
@@ -178,6 +178,8 @@ def _between(
     positions: NDArray[np.float64], spacings: NDArray[np.float64], points: NDArray[np.float64]
 ) -> NDArray[np.bool_]:
     """Which points (P, 2) lie between neighbouring taxels of a layout: in triangles no wider than GAP_SPACINGS."""
+    from scipy.spatial import Delaunay, QhullError
+
     try:
         triangles = Delaunay(positions)
     except (QhullError, ValueError):  # fewer than three taxels, or all on a line

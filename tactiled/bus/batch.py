@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from tactiled.frames import Message
 
+Key = tuple[int, bool]  # CAN id, whether it has 29 bits
 EXTENDED = 0x80000000  # in an id: it has 29 bits, as SocketCAN marks it
 MAX_BYTES = 64  # of a message
 COLUMNS = np.arange(MAX_BYTES, dtype=np.uint8)

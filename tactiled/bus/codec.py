@@ -11,13 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import ConfigDict
 
-from tactiled.bus.batch import Batch
+from tactiled.bus.batch import Batch, Key
 from tactiled.bus.polling import Polling
 from tactiled.errors import CodecError, ConfigError
 from tactiled.frames import Counts, Message, Reading
 from tactiled.geometry import Array
 
-Key = tuple[int, bool]  # CAN id, whether it has 29 bits
 NO_SEQUENCE = -1
 
 

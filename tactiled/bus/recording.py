@@ -11,10 +11,9 @@ from pathlib import Path
 from threading import Event
 from zoneinfo import ZoneInfo
 
-from tactiled.bus.batch import MAX_BYTES
+from tactiled.bus.batch import MAX_BYTES, Key
 from tactiled.bus.bounded_process import BoundedProcess, Bounds, Exceeded
 from tactiled.bus.canbus import CanMessage
-from tactiled.bus.codec import Key
 from tactiled.bus.logfile import is_streamed, open_log
 from tactiled.bus.textlog import (
     ERROR_FRAME,

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from tactiled.bounds import Bounds
-from tactiled.bus.codec import ClassicSkin, Key, Match, Traffic, require_distinct, standard_ids, understands
+from tactiled.bus.batch import Key
+from tactiled.bus.codec import ClassicSkin, Match, Traffic, require_distinct, standard_ids, understands
 from tactiled.bus.polling import Poll, Polling
 from tactiled.errors import CodecError, ConfigError
 from tactiled.frames import Counts, Message, Reading

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from tactiled.bounds import Bounds
-from tactiled.bus.codec import ClassicSkin, Key, Match, Traffic, require_distinct, understands
+from tactiled.bus.batch import Key
+from tactiled.bus.codec import ClassicSkin, Match, Traffic, require_distinct, understands
 from tactiled.bus.polling import Poll, Polling
 from tactiled.errors import CodecError
 from tactiled.frames import Counts, Message, Reading

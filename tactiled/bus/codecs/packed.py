@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from tactiled.bounds import Bounds
 from tactiled.bus.assembler import assemble
-from tactiled.bus.batch import Batch
-from tactiled.bus.codec import BatchCodec, Key, Match, Readings, Skin, Traffic, stacked, understands
+from tactiled.bus.batch import Batch, Key
+from tactiled.bus.codec import BatchCodec, Match, Readings, Skin, Traffic, stacked, understands
 from tactiled.bus.grid_shape import alike_shapes
 from tactiled.errors import ConfigError
 from tactiled.frames import Counts, Message

@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactiled.bounds import Bounds
-from tactiled.bus.codec import ClassicSkin, Key, Match, Traffic, standard_ids, understands
+from tactiled.bus.batch import Key
+from tactiled.bus.codec import ClassicSkin, Match, Traffic, standard_ids, understands
 from tactiled.errors import CodecError
 from tactiled.frames import Counts, Message, Reading
 
