@@ -3,8 +3,10 @@ import test from "node:test";
 
 import { line } from "../../tactiled/web/static/chart.js";
 import { highestAlong, sample } from "../../tactiled/web/static/cross_section.js";
+import { ContactOutline } from "../../tactiled/web/static/contact_outline.js";
 import { Plane } from "../../tactiled/web/static/geometry.js";
 import { measure, measures } from "../../tactiled/web/static/measures.js";
+import { cellsIn, measureRegion } from "../../tactiled/web/static/region_measure.js";
 
 /** A grid at a pitch of 2 mm, restored at the same cells. */
 function grid(rows, columns) {
@@ -81,4 +83,34 @@ test("force, peak and centre leave out taxels without data, and noise is no cont
   assert.deepEqual([image.force, image.peak, image.contact, image.unknown], [NaN, NaN, false, 2]);
   measure(Float32Array.from([1, 1, 1, 1]), scattered().raw, 0, image);
   assert.equal(image.force, 0.01);
+});
+
+test("outlines are of the frame that is shown, wherever its contacts were found", () => {
+  const plane = grid(6, 10);
+  const outline = new ContactOutline();
+  const frame = (sequence, pressed) => ({
+    sequence, noise: 0.5, noiseGain: 1, restored: Float32Array.from({ length: 60 }, (_, i) => (pressed.includes(i) ? 40 : 0)),
+  });
+  const contact = { id: 3, x_mm: 3, y_mm: 3, peak: 40, major_mm: 1, minor_mm: 1, angle_rad: 0 };
+  const contacts = [contact, { ...contact, id: 4, x_mm: 18, y_mm: 10 }];
+  outline.update(frame(7, [11, 12, 21, 22]), plane, contacts);
+  assert.deepEqual([...outline.extents.subarray(0, 4)], [1, 1, 3, 3]);
+  assert.deepEqual([[...outline.cells], [...outline.centres.subarray(0, 2)]], [[4, 0], [3, 3]]);
+  outline.update(frame(8, [12, 13, 14, 15, 16]), plane, contacts);
+  assert.deepEqual([...outline.extents.subarray(0, 4)], [2, 1, 7, 2]);
+  assert.deepEqual([[...outline.cells], [...outline.centres.subarray(0, 2)]], [[5, 0], [8, 2]]);
+  outline.update(frame(9, []), plane, contacts);
+  assert.deepEqual([outline.count, ...outline.cells], [0, 0, 0]);
+});
+
+test("a region holds what the frame that is shown has in it, and nothing is known of one with holes", () => {
+  const { restored: cells } = grid(4, 5);
+  const frame = { noise: 1, noiseGain: 1, unit: 0, restored: Float32Array.from({ length: 20 }, (_, i) => i) };
+  const rectangle = cellsIn({ shape: "rectangle", points_mm: [[3, 5], [-1, 1]] }, cells);
+  assert.deepEqual(rectangle, [5, 6, 10, 11]);
+  assert.deepEqual(measureRegion(rectangle, frame, cells), { force: 4 * 32e-3, mean: 8, peak: 11, area: 16 });
+  assert.deepEqual(cellsIn({ shape: "ellipse", points_mm: [[1, 1], [7, 5]] }, cells), [6, 7, 8, 11, 12, 13]);
+  assert.deepEqual(cellsIn({ shape: "polygon", points_mm: [[-1, -1], [5, -1], [-1, 5]] }, cells), [0, 1, 5]);
+  frame.restored[5] = NaN;
+  assert.equal(measureRegion(rectangle, frame, cells), null);
 });

@@ -135,9 +135,10 @@ export class Overlay {
     }
     for (let i = 0; i < contacts.length; i += 1) {
       const each = contacts[i];
+      if (!outline.cells[i]) continue; // it is not in this frame
       // Whole pixels: any other number that is handed to the browser is an object for the collector.
-      const x = Math.round((each.x_mm - plane.left) * this._px);
-      const y = Math.round((each.y_mm - plane.top) * this._px);
+      const x = Math.round((outline.centres[2 * i] - plane.left) * this._px);
+      const y = Math.round((outline.centres[2 * i + 1] - plane.top) * this._px);
       const major = Math.round(Math.max(minAxis, OUTLINE_DEVIATIONS * each.major_mm * this._px));
       const minor = Math.round(Math.max(minAxis, OUTLINE_DEVIATIONS * each.minor_mm * this._px));
       if (!outline.outlined[i]) {
@@ -151,7 +152,7 @@ export class Overlay {
     draw.textBaseline = "middle";
     draw.textAlign = "center";
     draw.lineJoin = "round";
-    for (let i = 0; i < contacts.length; i += 1) this._label(contacts[i], labels.get(contacts[i].id) ?? "", outline, i, plane);
+    for (let i = 0; i < contacts.length; i += 1) if (outline.cells[i]) this._label(contacts[i], labels.get(contacts[i].id) ?? "", outline, i, plane);
   }
 
   /**
@@ -175,8 +176,8 @@ export class Overlay {
     const tall = Math.round(Math.max(minAxis, Math.hypot(long * sin, short * cos)));
     const { extents, outlined } = outline;
     const cell = outline.side * this._px;
-    const x = Math.round((contact.x_mm - plane.left) * this._px);
-    const y = Math.round((contact.y_mm - plane.top) * this._px);
+    const x = Math.round((outline.centres[2 * i] - plane.left) * this._px);
+    const y = Math.round((outline.centres[2 * i + 1] - plane.top) * this._px);
     const within = Math.max(half, Math.min(this.canvas.width - half, x));
     const west = outlined[i] ? Math.round(extents[4 * i] * cell) : x - wide;
     const north = outlined[i] ? Math.round(extents[4 * i + 1] * cell) : y - tall;

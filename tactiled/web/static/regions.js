@@ -8,12 +8,14 @@ import { fixed } from "./format.js";
 import { cellAround } from "./geometry.js";
 import { RegionDrawing } from "./region_drawing.js";
 import { RegionLayer } from "./region_layer.js";
+import { cellsIn, measureRegion } from "./region_measure.js";
 import { messageOf, notice } from "./notice.js";
 import { PlaybackSession } from "./playback_session.js";
 import { withToken } from "./token_dialog.js";
 import { FORCE_UNITS, forceNumber, forceText, pressureText, unitOf, unitOfQuantity } from "./units.js";
 
 /** @import { Measure, Region, Shape } from "./api.js" */
+/** @import { Plane } from "./geometry.js" */
 /** @import { Viewer } from "./viewer.js" */
 
 const POLL_MS = 250;
@@ -27,8 +29,8 @@ export class Regions {
     this._viewer = viewer;
     /** @type {Region[]} */
     this._regions = [];
-    /** @type {Region[]} as the service has them; in the list those of a recording have the values of its frame */
-    this._watched = [];
+    /** @type {{plane: Plane, shapes: string, cells: number[][]}|null} the regions' cells */
+    this._inside = null;
     this._sensor = ""; // whose regions are in the list; another one than is watched until the next look
     this._owner = ""; // sensor of the region in the dialog
     const { raw, restored } = viewer.maps;
@@ -86,40 +88,48 @@ export class Regions {
 
   /** @returns {string} what differs where a region is another */
   get shapes() {
-    return JSON.stringify(this._watched.map(({ name, shape, points_mm }) => [name, shape, points_mm]));
+    return JSON.stringify(this._regions.map(({ name, shape, points_mm }) => [name, shape, points_mm]));
   }
 
-  /** Bring the values up to date with the frame of a recording that is shown. */
+  /** Bring the values up to date with the frame that is shown. */
   read() {
-    if (this._viewer.session instanceof PlaybackSession && this._sensor === this._viewer.name) this._take(this._sensor, this._watched);
+    const { session, name } = this._viewer;
+    const { frame = null, plane = null } = session ?? {};
+    if (!plane || this._sensor !== name) return;
+    if (this._inside?.plane !== plane || this._inside.shapes !== this.shapes) {
+      this._inside = { plane, shapes: this.shapes, cells: this._regions.map((each) => cellsIn(each, plane.restored)) };
+    }
+    const { cells: inside } = this._inside;
+    this._regions.forEach((region, i) => {
+      const { cells } = this._body.rows[i];
+      const now = session instanceof PlaybackSession ? session.regions.find((each) => each.name === region.name)
+        : frame && measureRegion(inside[i], frame, plane.restored);
+      setText(cells[1], now?.force == null ? "–" : forceNumber(now.force, session?.unit ?? 0));
+      setText(cells[2], now?.mean == null ? "–" : fixed(now.mean, 1));
+      setText(cells[3], now?.peak == null ? "–" : fixed(now.peak, 0));
+      setText(cells[4], now?.area == null ? "–" : fixed(now.area, 0));
+    });
   }
 
   /** @param {string} sensor @param {Region[]} watched */
   _take(sensor, watched) {
     const { session } = this._viewer;
     for (const { name, threshold, exceeded, unit } of session instanceof PlaybackSession ? [] : watched) {
-      if (exceeded && threshold && !(sensor === this._sensor && this._watched.some((each) => each.name === name && each.exceeded))) {
+      if (exceeded && threshold && !(sensor === this._sensor && this._regions.some((each) => each.name === name && each.exceeded))) {
         notice(`${sensor}: ${threshold.quantity} in region ${name} is above ${threshold.above} ${unitOfQuantity(threshold.quantity, unitOf(unit))}`, true);
       }
     }
     this._sensor = sensor;
-    this._watched = watched;
-    const regions = session instanceof PlaybackSession
-      ? watched.map((each) => ({ ...each, exceeded: false, now: session.regions.find(({ name }) => name === each.name) ?? null })) : watched;
+    const regions = session instanceof PlaybackSession ? watched.map((each) => ({ ...each, exceeded: false })) : watched;
     this._regions = regions;
     byId("regions").hidden = !regions.length;
     while (this._body.rows.length < regions.length) this._body.append(this._row());
     while (this._body.rows.length > regions.length) this._body.deleteRow(-1);
-    regions.forEach(({ name, unit, now, exceeded }, i) => {
-      const { cells } = this._body.rows[i];
+    regions.forEach(({ name, exceeded }, i) => {
       this._body.rows[i].classList.toggle("some", exceeded);
-      setText(/** @type {Element} */ (cells[0].firstElementChild), name);
-      const of = unitOf(unit);
-      setText(cells[1], now?.force == null ? "–" : forceNumber(now.force, of));
-      setText(cells[2], now?.mean == null ? "–" : fixed(now.mean, 1));
-      setText(cells[3], now?.peak == null ? "–" : fixed(now.peak, 0));
-      setText(cells[4], now?.area == null ? "–" : fixed(now.area, 0));
+      setText(/** @type {Element} */ (this._body.rows[i].cells[0].firstElementChild), name);
     });
+    this.read();
     this._draw();
   }
 

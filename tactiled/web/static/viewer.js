@@ -163,8 +163,8 @@ export class Viewer {
     marks.pinned = probe.pinned;
     marks.contacts = this.contactsOfFrame?.contacts ?? null;
     for (const each of marks.contacts ?? []) if (!marks.labels.has(each.id)) marks.labels.set(each.id, this._labelOf(each)); // a new one
-    marks.outline.update(frame, session.plane, marks.contacts, session.paused);
-    marks.outlined = session.paused ? frame.sequence : -1;
+    marks.outline.update(frame, session.plane, marks.contacts);
+    marks.outlined = marks.contacts?.length ? frame.sequence : -1;
   }
 
   /**
