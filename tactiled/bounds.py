@@ -79,7 +79,7 @@ def _beside(file: Path, info: ValidationInfo) -> Path:
 
 
 def _check_key(key: SecretStr) -> SecretStr:
-    """Refuse what a person has thought up: whoever sees a signature could try it."""
+    """Refuse a key that a person made up: it could be guessed from one signature."""
     if not re.fullmatch(r"[0-9a-f]{64}", key.get_secret_value()):
         raise ValueError("give 64 of the digits 0-9 and a-f, as `openssl rand -hex 32` prints them")
     return key

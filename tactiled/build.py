@@ -171,7 +171,7 @@ def _plan(name: str, sensor: schema.Sensor, file: CalibrationFile | None) -> Sen
 
 
 def _check_file(name: str, sensor: schema.Sensor, file: CalibrationFile, size: int, stack: Stack) -> None:
-    """ConfigError where a file is of another array, or where the configuration says otherwise than it."""
+    """ConfigError if a file is of another array, or contradicts the configuration."""
     path = sensor.calibration.file
     place = "calibration" if path is None else path.name
     try:
@@ -274,7 +274,7 @@ def make_kernel(settings: schema.Kernel, stack: Stack, cover: CoverSection | Non
 
 
 def make_calibration(sensor: schema.Sensor, file: CalibrationFile | None = None) -> Calibration:
-    """Calibration as in a file, else as configured, else as the codec knows it of its skin."""
+    """Calibration from the file, else from the configuration, else the codec's default."""
     skin, settings = sensor.codec.settings, sensor.calibration.model_dump(exclude_none=True, exclude={"file"})
     defaults = {"kpa_per_count": skin.kpa_per_count, "no_load": skin.no_load}
     settings = {key: value for key, value in defaults.items() if value is not None} | settings

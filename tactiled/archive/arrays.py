@@ -64,7 +64,7 @@ class NpzWriter:
         text = np.array(json.dumps(provenance, indent=1))
         with zipfile.ZipFile(path, "w", allowZip64=True) as archive:
             for name, array in (arrays | {"provenance": text}).items():
-                entry = zipfile.ZipInfo(f"{name}.npy")  # without a date: the same export is the same file
+                entry = zipfile.ZipInfo(f"{name}.npy")  # without a date, so that equal exports are equal files
                 with archive.open(entry, "w", force_zip64=True) as file:
                     np.lib.format.write_array(file, array, allow_pickle=False)
 
@@ -98,7 +98,7 @@ def _add_dataset(file: Any, name: str, array: NDArray[Any], unit: str | None) ->
 
 
 class _DeferredErrors(io.FileIO):
-    """A file that keeps its first error from HDF5, which ends the process over one while it closes a file."""
+    """A file that keeps its first error: HDF5 aborts the process at an error while it closes a file."""
 
     error: OSError | None = None  # after it nothing more is written
 

@@ -41,7 +41,7 @@ class Outcome(NamedTuple):
 def run(
     job: Job, tasks: list[Task], workers: int | None = None, scheduler: str | None = None
 ) -> Generator[Outcome]:
-    """Do all tasks; outcomes come as they do. Nothing temporary stays beside the outputs, whatever happens."""
+    """Do all tasks, and yield each outcome when it comes. No temporary file stays beside the outputs."""
     label = f"{token_hex(8)}-"  # of this run's temporary files
     try:
         if workers is None and scheduler is None:
@@ -79,7 +79,7 @@ def process(job: Job, task: Task, label: str, version: str) -> Outcome:
             record.call("pipe_file", _record(digest, target.sizes()))
     except TactileError as error:
         return Outcome("failed", str(error))
-    except Exception as error:  # our own fault, or a codec's: the other inputs are done nevertheless
+    except Exception as error:  # a fault at one input does not stop the others
         LOG.exception("%s failed", source)
         return Outcome("failed", f"{source}: {type(error).__name__}: {error}")
     return Outcome("written", f"{target}: {text} in {time.perf_counter() - began:.1f} s")
@@ -124,7 +124,7 @@ def _on_dask(
 
 
 def _cluster(workers: int | None) -> Any:
-    """Processes of this machine with a thread each; Ctrl-C, which they get too, is left to their parent."""
+    """Processes of this machine with one thread each; they ignore Ctrl-C, which their parent handles."""
     from distributed import LocalCluster
 
     before = signal.signal(signal.SIGINT, signal.SIG_IGN)  # they inherit it

@@ -42,7 +42,7 @@ class ExportJob(Job):
     zone: str | None = None  # of recordings that do not say theirs
 
     def settings(self) -> dict[str, Any]:
-        """All that outputs depend on, but the input and the version (JSON's types)."""
+        """Everything that outputs depend on except the input and the version (JSON's types)."""
         return super().settings() | {"regions": self._regions(), "zone": self.zone}
 
     def _regions(self) -> dict[str, Any]:

@@ -19,7 +19,7 @@ from tactiled.runtime.offline import Offline, open_frames
 
 @dataclass(frozen=True, eq=False)
 class Job(ABC):
-    """One sensor of a configuration; it is pickled for workers, and tells no secret."""
+    """One sensor of a configuration, without secrets, as it is pickled for workers."""
 
     name: str
     sensors: Mapping[str, schema.Sensor]  # all that are on its bus
@@ -39,7 +39,7 @@ class Job(ABC):
         return _plan(self, get_ident())
 
     def settings(self) -> dict[str, Any]:
-        """All that outputs depend on, but the input and the version (JSON's types)."""
+        """Everything that outputs depend on except the input and the version (JSON's types)."""
         own = {each.name: getattr(self, each.name) for each in fields(self)}
         own.pop("sensors")  # they are in the configuration
         return own | {

@@ -50,7 +50,7 @@ class Place:
             return getattr(self.files, method)(self.path, *arguments, **options)
 
     def sizes(self) -> dict[str, int]:
-        """Bytes of all files of a folder by their paths in it, or of the file as `""`; none where nothing is."""
+        """Bytes of each file of a folder by its path in it, or of a file as `""`; {} if nothing is there."""
         self.files.invalidate_cache()
         files = self.call("find", detail=True)
         return {path.removeprefix(self.path): each["size"] for path, each in sorted(files.items())}

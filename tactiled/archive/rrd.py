@@ -20,7 +20,7 @@ COPY_BYTES = 1 << 20  # at once
 
 
 class RrdWriter:
-    """One .rrd file, written as images come: by a pipe, as Rerun's SDK waits for ever where a disk is full."""
+    """One .rrd file, written through a pipe: Rerun's SDK itself hangs if the disk is full."""
 
     def __init__(self, path: Path, plan: SensorPlan) -> None:
         pipe = path.with_name(f"{path.name}.pipe")

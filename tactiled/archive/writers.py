@@ -40,7 +40,7 @@ class Format(NamedTuple):
     module: str
     writer: str
     extra: str = ""  # of pyproject.toml
-    packages: tuple[str, ...] = ()  # of that extra: one that is missing is named before any work
+    packages: tuple[str, ...] = ()  # of that extra; a missing one is named before the work starts
 
 
 FORMATS = {

@@ -1,4 +1,4 @@
-"""CAN data frames as arrays, in order: what one read of a bus, or a piece of a file, gave."""
+"""CAN data frames as arrays, in order of arrival: from one read of a bus, or from a piece of a file."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass

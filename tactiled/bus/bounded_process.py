@@ -1,4 +1,4 @@
-"""A generator in a process of its own, with bounds: what reads other people's files may loop or grow for ever.
+"""A generator in a process with bounds: reading a foreign file may take unbounded time or memory.
 
 A process waits for the next generator while none runs, so that only the first one waits for its start.
 """
@@ -27,7 +27,7 @@ from typing import Any, NamedTuple
 COMMAND = "import sys; from tactiled.bus.bounded_process import work; work(int(sys.argv[1]))"
 MAX_BATCH, MAX_BATCH_S = 1024, 0.1  # items sent at once
 IDLE_S = 60.0  # without work until a process ends
-NEXT, CLOSE, READY = b"", b"close", b"ready"  # what is asked of a process beside a generator to run
+NEXT, CLOSE, READY = b"", b"close", b"ready"  # commands to a process, apart from generators to run
 READY_S = 1.0  # that an idle one may take to answer
 
 
@@ -135,7 +135,7 @@ class _Worker:
         self.ask(1)
 
     def ask(self, count: int) -> None:
-        """Ask for batches; what has ended does not listen, which `answer` finds."""
+        """Ask for batches; if the process has ended, `answer` reports it."""
         with suppress(OSError):
             for _ in range(count):
                 self._pipe.send_bytes(NEXT)
@@ -151,7 +151,7 @@ class _Worker:
         return None, error
 
     def release(self, reusable: bool) -> None:
-        """Keep it for the next where it waits, and no other does; else end it."""
+        """Keep it for the next generator if it is idle and the only one; else end it."""
         if reusable and not self.idle:
             with suppress(OSError):
                 self._pipe.send_bytes(CLOSE)
@@ -197,7 +197,7 @@ def work(descriptor: int) -> None:
 
 
 def _listen(pipe: Connection, commands: "SimpleQueue[bytes]") -> None:
-    """Take commands, and end the process with its parent, whatever it does."""
+    """Take commands, and end this process when its parent ends."""
     with suppress(EOFError, OSError):
         while True:
             commands.put(pipe.recv_bytes())
@@ -230,7 +230,7 @@ def _run(
 
 
 def _batched(items: Iterator[Any]) -> Iterator[list[Any]]:
-    """Lists of one item, then of many, of few where they come slowly; those before an error come before it."""
+    """Lists of items: one item first, then more while they come fast; items before an error come before it."""
     size, goes_on = 1, True
     while goes_on:
         batch, began = list[Any](), time.monotonic()

@@ -233,7 +233,7 @@ class Skin:
     """A frozen dataclass whose fields are a skin's settings: SKIN of a file of `codecs/`, or an entry point."""
 
     __pydantic_config__ = ConfigDict(extra="forbid", use_attribute_docstrings=True)
-    kpa_per_count: float | None = None  # kPa, of a skin whose configuration says nothing of it; so is no_load
+    kpa_per_count: float | None = None  # kPa, used if the configuration has none; the same for no_load
     no_load: float | None = None  # counts
 
     @cached_property

@@ -2,8 +2,8 @@
 
 A taxel that reads zero, is quiet and lies beyond the cover's reach of every contact is free: its zero follows its
 reading. The zeros of all others follow the common mode of the free ones alone, each as strongly as it did while it
-was free itself, so that a load never becomes a zero. A load that comes slower than MAX_RATE cannot be told from
-drift, nor can one that is all over the array and comes slower than SHARED_RATE: an array that warms up.
+was free itself, so that a load never becomes a zero. Two loads look like drift: one that comes slower than
+MAX_RATE, and one on the whole array that comes slower than SHARED_RATE, as when an array warms up.
 """
 
 from enum import IntEnum

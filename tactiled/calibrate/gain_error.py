@@ -1,4 +1,4 @@
-"""What a gain's standard error alone does not hold: errors in another recording, creep, curvature, a poor bag."""
+"""Errors of a gain beyond its standard error: another recording, creep, curvature, a poor bag."""
 
 from itertools import pairwise
 

@@ -50,10 +50,10 @@ class Fault(IntEnum):
 
 
 class Rule(NamedTuple):
-    """How a fault is found: its evidence adds up to `threshold`; what speaks against it takes it back."""
+    """How a fault is found: evidence for it adds up to `threshold`, evidence against it is subtracted."""
 
     threshold: int  # blocks, or presses on its neighbours
-    in_a_row: bool  # one piece of evidence against it, before it is found, takes all of it back
+    in_a_row: bool  # before the fault is found, one piece of evidence against it resets the sum
     reason: str
 
 
@@ -147,7 +147,7 @@ class TaxelHealth:
         return np.asarray(self._rising * (block.mean - ceiling) >= 0)
 
     def _unexplained(self, sigma: Floats, load: Floats, readable: Mask, measured: bool) -> tuple[Mask, Mask]:
-        """Taxels (N,) that read what no load gives them: so much alone, and so much less than zero alone."""
+        """Taxels (N,) whose reading no load explains: high without their neighbours, or far below zero."""
         clear = np.abs(load) > np.maximum(LOADED_SIGMAS * sigma, LOADED * self.full_scale)
         suspects = self._neighbourhood.peaks(np.flatnonzero(readable & clear), np.abs(load))
         above, below = np.zeros_like(readable), np.zeros_like(readable)
@@ -257,7 +257,7 @@ class _Presses:
 
 
 class _Shares:
-    """What the neighbours of shaking taxels feel of it, pooled over blocks until it is known well enough."""
+    """How much the neighbours of noisy taxels sense of their noise, pooled over blocks."""
 
     def __init__(self, taxels: int) -> None:
         self._sums = np.zeros((4, taxels))  # own square, product with the neighbours' sum, its variance, blocks

@@ -1,4 +1,4 @@
-"""Whether the map of taxels is right, judged while an array is in use: by whatever moves on it."""
+"""Checks the map of taxels while an array is in use, from loads that move over it."""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -38,7 +38,7 @@ class Rails:
 
 @contextmanager
 def unknown_taxels() -> Iterator[None]:
-    """Without numpy's warnings of taxels that are NaN all along, as those that send nothing are."""
+    """Without numpy's warnings about taxels that are always NaN, as silent ones are."""
     with catch_warnings():
         simplefilter("ignore", RuntimeWarning)
         yield

@@ -32,7 +32,7 @@ class SkinState:
 
 
 class SkinMonitor:
-    """Looks after the taxels of one array, and corrects its calibrator: zeros that drift, taxels that fail."""
+    """Follows drifting zeros and failing taxels of one array, and corrects its calibrator."""
 
     def __init__(
         self,

@@ -46,7 +46,7 @@ class _Surroundings(NamedTuple):
 
 
 class Neighbourhood:
-    """Neighbours of one array's taxels; what joins them is computed when a taxel is first asked for."""
+    """Neighbours of one array's taxels; their weights are computed at the first request for a taxel."""
 
     def __init__(self, kernel: Kernel, array: Array, start: Start) -> None:
         """`start` runs what takes longer than a frame; until it is done nothing is known of a taxel."""

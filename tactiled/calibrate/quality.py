@@ -42,7 +42,7 @@ class Quality:
 
 
 def zone_counts(places: Floats, array: Array) -> NDArray[np.int64]:
-    """How many `places` (P, 2) in mm lie in each of 3 x 3 zones of an array; one beside it is in the nearest."""
+    """Number of `places` (P, 2) in mm in each of 3 x 3 zones of an array; one outside is in the nearest."""
     low, high = array.positions.min(axis=0), array.positions.max(axis=0)
     half = array.pitch / 2
     shares = (np.reshape(places, (-1, 2)) - (low - half)) / (high - low + 2 * half)

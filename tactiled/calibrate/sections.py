@@ -118,7 +118,7 @@ class GainSection(Section):
     deviation: OptionalValues
     hysteresis: OptionalValues
     individual: tuple[bool, ...]
-    error_kpa: OptionalValues | None = None  # not in files of release 0.4.2, nor the next two
+    error_kpa: OptionalValues | None = None  # None: unknown, as in older files
     curvature: Annotated[Value, Field(ge=0)] | None = None
     loop: tuple[Value, Value, Value] | None = None  # hysteresis: near, far, weight
 

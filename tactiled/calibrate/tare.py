@@ -1,4 +1,4 @@
-"""The zero of an array: what it reads without a load; and whether a tare would take a load for it."""
+"""The zero of an array, and whether there is a load that a tare would take for the zero."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,9 +9,9 @@ from numpy.typing import NDArray
 from tactiled.restore.noise import MAD_TO_SIGMA, NOISY_RATIO, bends, detection_threshold
 from tactiled.units import PRESSURE, Unit, number_text
 
-MAX_DRIFT_FACTOR = 2.0  # times what noise reaches: a median above it is no drift of an array that was tared
+MAX_DRIFT_FACTOR = 2.0  # times the largest noise: a median above it is a load, not the drift of a tared array
 ZERO_SIGMAS = 2.0  # noise standard deviations within which a taxel reads zero
-SKIRT_FRACTION = 0.05  # of the highest reading: so little is a contact's skirt, and reads zero as well
+SKIRT_FRACTION = 0.05  # of the highest reading: less may be the edge of a contact, and counts as zero
 UNPRESSED_FRACTION = 0.1  # of the taxels: if so many read zero, zero is right
 MIN_JITTER_FRAMES = 8  # that a taxel's own noise is measured from
 JITTER_MARGIN = 1.5  # of a noise measured from so few frames
@@ -21,7 +21,7 @@ MAX_NOISY_FRACTION = 0.01  # of the taxels, or one: if more are noisy at once, a
 BELOW_SIGMAS = 7.0  # of noise, and of the taxels' scatter, below zero
 QUARTILE_TO_SIGMA = 3.14  # standard deviation over the quartile nearest to 0 of half a normal distribution
 CLEARLY_BELOW = 2.0  # of the same
-BELOW_SHARE = 0.1  # of the highest reading since the tare: a skin that is slow to recover reads so far below zero
+BELOW_SHARE = 0.1  # of the highest reading since the tare: a slowly recovering skin reads up to so much below zero
 
 SPIKE_SIGMAS = 4.0  # robust standard deviations from a taxel's median: a reading beyond is a spike
 SPIKE_COUNTS = 1.5  # of whole counts: neighbouring counts are noise, even where most readings are the same

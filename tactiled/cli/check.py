@@ -37,7 +37,7 @@ def check(
     `--bus` only listens: a skin that waits until the service asks or starts it stays silent.
     """
     findings = findings_of(config)
-    _print(findings)  # before a cover is solved: a slip may be why it cannot be
+    _print(findings)  # before covers are solved: a wrong value may make that impossible
     with threadpool_limits(1):
         service = prepared(config)
     tls.context(service.config.server)

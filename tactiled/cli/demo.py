@@ -68,7 +68,7 @@ def demo(
 
 
 def _source(record: str | None, config: Config, scene: str | None, rate_hz: float, folder: Path) -> Source:
-    """What sends frames on the bus until an event; a recording to play is put into `folder`."""
+    """The function that sends frames until an event is set; it puts a recording to play into `folder`."""
     if not record:
         return simulation(config, scene, rate_hz, folder)
     path = recording.path(record)

@@ -36,7 +36,7 @@ def run(
     limit_heaps()
     for finding in findings_of(config):
         if not finding.hint:
-            logs.announce(f"doubtful: {finding}", logging.WARNING)  # it may be true: no reason not to run
+            logs.announce(f"doubtful: {finding}", logging.WARNING)  # the value may be right: run all the same
     with stoppable(), threadpool_limits(1):  # frames are small: a second thread costs more than it gives
         service = prepared(config, logs.announce)
         address = service.config.server.model_dump(exclude_unset=True) | options.present(foxglove=foxglove)

@@ -22,7 +22,7 @@ from tactiled.config.section import Section
 from tactiled.errors import ConfigError
 
 Model = TypeVar("Model", bound=BaseModel)
-MAX_DEPTH = 16  # tables in tables; sensor.NAME.array.positions_mm[0] is the fourth
+MAX_DEPTH = 16  # nested tables and lists; sensor.NAME.array.positions_mm[0] is at depth 4
 TABLES: dict[str, type[BaseModel]] = {
     "": Config, "server": schema.Server, "zenoh": schema.Zenoh, "bus": schema.Bus, "sensor": schema.Sensor,
     "array": schema.Array, "cover": schema.Layer, "kernel": schema.Kernel, "calibration": schema.Calibration,
@@ -40,7 +40,7 @@ class Buses(Section):
 
 
 def load(path: Path) -> Config:
-    """Read the file at `path`; ConfigError, a line a fault, if it cannot be read or holds what it may not."""
+    """Read the file at `path`; ConfigError with one line for each fault."""
     return parse(_read(path), str(path), path.parent)
 
 

@@ -57,7 +57,7 @@ class _SensorChannels:
             each.close()
 
     def send(self, now: float) -> None:
-        """Send what is new at `now` (s, monotonic) to whoever has subscribed."""
+        """Send what is new at `now` (s, monotonic) to the subscribers."""
         image = self.sensor.hub.latest()
         if image is not None and image.unit != self._topics.unit:
             self._advertise_images(image.unit)

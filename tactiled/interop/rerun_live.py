@@ -29,7 +29,7 @@ def to_viewer(service: Service, port: int | None) -> Iterator[None]:
 
     def work() -> None:
         while not ended.wait(RETRY_S):
-            with service.faults.turn("rerun"), suppress(OSError):  # nobody listens
+            with service.faults.turn("rerun"), suppress(OSError):  # no viewer is running
                 socket.create_connection(("127.0.0.1", port), RETRY_S).close()
                 _show(service, port, ended)
 

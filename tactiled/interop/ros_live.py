@@ -71,7 +71,7 @@ class _Writer:
         self._gid = blake2b(key.encode(), digest_size=GID_BYTES).digest()
 
     def subscribed(self) -> bool:
-        """Whether anybody subscribes; of a transient-local topic it is unknown, and False."""
+        """Whether there is a subscriber; unknown, and therefore False, of a transient-local topic."""
         status = getattr(self._publisher, "matching_status", None)
         return status is not None and status.matching
 

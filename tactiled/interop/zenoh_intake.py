@@ -170,7 +170,7 @@ class Intake:
             self.events.add("message_refused", f"robot {robot.name}: {why}{others}", name)
 
     def forget(self, line: Line) -> None:
-        """A name that nobody has: what it used is another's."""
+        """Forget a name that no reader has any more, and free its share of the budget."""
         robot = self.robots[line.robot]
         del self.lines[line.name], robot.lines[line.name]
         if sensor := self.sensors.get(line.name):

@@ -133,7 +133,7 @@ class AccessControl:
         try:
             app = self._route(scope)
             await app(scope, await body.receiver(), answer)
-        except ClientDisconnect:  # amid its body: nobody reads an answer
+        except ClientDisconnect:  # during its body: there is no client to answer
             return
         except (Exception, asyncio.CancelledError) as error:
             if not answer.started:

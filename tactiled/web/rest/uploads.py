@@ -62,7 +62,7 @@ async def while_connected(
         if not running.done():
             cancel()
             await asyncio.wait((running,))
-            running.exception()  # nobody reads it
+            running.exception()  # marks it as seen
     return await running
 
 
