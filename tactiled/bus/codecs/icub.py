@@ -15,11 +15,10 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from tactiled.bounds import Bounds
-from tactiled.bus.batch import Batch
+from tactiled.bus.batch import Batch, Key
 from tactiled.bus.codec import (
     BatchCodec,
     ClassicSkin,
-    Key,
     Match,
     Readings,
     Traffic,
