@@ -5,7 +5,7 @@ import pytest
 from tactiled.config import Server
 from tactiled.web.server import running
 from tests.conftest import CONTROL, READ, TOKENS, pressed
-from tests.viewer.conftest import LEVELS, LIVE, PAUSED, TILES
+from tests.viewer.conftest import COLOUR_RULES, LEVELS, LIVE, PAUSED, TILES
 
 READY = f"{TILES}.length === 2"
 TOKEN_OPEN = "document.getElementById('token').open"
@@ -34,6 +34,10 @@ def test_a_page_that_is_live_or_stale_and_its_help_are_accessible(rig, page):
     page.press("Escape")
     page.evaluate("document.querySelector('label[for=method]').remove()")
     assert [rule for rule, _ in page.violations()] == ["select-name"]  # a fault is found
+    page.evaluate(
+        "document.querySelector('header h1').style.color = getComputedStyle(document.body).backgroundColor"
+    )
+    assert [rule for rule, _ in page.violations(*COLOUR_RULES)] == ["color-contrast"]
 
 
 def test_the_wall_is_accessible_and_its_keys_lead_to_a_sensor(pair, open_page):
