@@ -55,7 +55,7 @@ MAX_INTERVAL = 1.4  # of its upper over its lower end: more does not tell the th
 # Flat tips of half a pitch's radius (20 x 20 taxels, t/pitch 0.6 to 2.4, noise 0.2 % of the peak) gave covers 6
 # to 25 % too thin in intervals of a few per cent. They and those of one pitch have 9 to 15 such cells; those of
 # one and a half have 26 and more, and errors of 2 %.
-MIN_AREA, NARROW_SHARE = 20, 0.2  # cells of a narrow contact, and the share of these that misleads
+MIN_AREA, NARROW_SHARE = 20, 0.2  # cells below which a contact is narrow; largest share of such contacts
 MISFIT = 1.2  # of all scenes under the best thickness, over noise and gain errors
 MAX_GAIN_ERROR = 0.03  # of a taxel: uncalibrated gains, 20 % apart, bias the thickness
 GAIN_NOTE = "gains that are not calibrated may make thickness and interval wrong: calibrate the gain first"

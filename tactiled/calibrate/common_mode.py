@@ -1,4 +1,4 @@
-"""What is learnt of the drift that taxels share: how strongly each follows it, what pads without pressure say."""
+"""The drift that taxels share: how strongly each taxel follows it, and what pads without pressure show of it."""
 
 import numpy as np
 from numpy.typing import NDArray

@@ -1,4 +1,4 @@
-"""What a fit of a cover is good for: its interval, its test on presses left out, and what it cannot tell."""
+"""Quality of a fit of a cover: its interval, its error on left-out presses, and what it cannot show."""
 
 from collections.abc import Sequence
 from dataclasses import replace

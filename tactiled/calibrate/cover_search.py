@@ -1,4 +1,4 @@
-"""The search for a cover's thickness, whatever touches it: coarse, fine, without presses that do not fit."""
+"""The search for a cover's thickness from any touch: coarse, fine, without presses that do not fit."""
 
 from dataclasses import dataclass, replace
 from functools import lru_cache

@@ -1,4 +1,4 @@
-"""In words: what presses tell of all that a person does not know exactly, and what that does to the thickness."""
+"""Notes on what a person does not know exactly: what the presses show of it, and its effect on the thickness."""
 
 from collections.abc import Callable
 from typing import NamedTuple

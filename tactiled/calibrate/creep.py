@@ -1,4 +1,4 @@
-"""Creep of the rubber: what is read under a load that stays grows with the logarithm of time; measured only."""
+"""Creep of the rubber: readings under a lasting load grow with the logarithm of time; measured, not corrected."""
 
 from math import log10
 from typing import NamedTuple
@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-START_S = 30.0  # after which a load is compared with itself: when it came matters little by then
+START_S = 30.0  # after a load came, its growth is measured: the exact start matters little by then
 SAMPLES_PER_DECADE = 20  # of time, so that each counts alike
 MIN_SAMPLES = 20
 MAX_CHANGE = 0.1  # of the pattern's strength that is not its own: another contact

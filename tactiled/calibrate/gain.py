@@ -46,7 +46,7 @@ STARTS_LOADED = 0.05  # of the log's largest value
 MAX_RAMP = 0.1  # of the log's largest value: a block in which it changes by more is left out
 MIN_POINTS = 10
 FOLDS = 10  # pieces of time, left out in turn
-MIN_CORRELATION, MIN_FOLLOWING = 0.7, 3  # of a taxel's counts with the pressure, of so many points; of p = u⁴ .87
+MIN_CORRELATION, MIN_FOLLOWING = 0.7, 3  # of a taxel's counts with the pressure, over so many points (p = u⁴: .87)
 UNLIKE_GAIN = 5.0  # times the gain before, or one over it: grams for newtons make 102, kilograms 0.102
 PRESSURES_KPA = (0.01, 1e4)  # of a skin's largest: beyond, the log has another unit
 Floats = NDArray[np.float64]

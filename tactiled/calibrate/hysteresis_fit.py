@@ -90,7 +90,7 @@ def _weight(points: Points, end: Floats, opened: Floats) -> tuple[float, float]:
 
 
 def _pays(points: Points, plain: Points, end: Floats, opened: Floats, form: Form) -> bool:
-    """Whether pieces of time that are left out are predicted clearly better with the loop than by plain points."""
+    """Whether the loop predicts left-out pieces of the recording clearly better than plain curves do."""
     pieces = np.arange(points.pressure.size) * FOLDS // points.pressure.size
     errors = []
     for each in np.unique(pieces):

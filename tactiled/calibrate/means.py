@@ -14,7 +14,7 @@ from tactiled.errors import ConfigError
 
 MIN_RESPONSE_SIGMAS = 20.0  # of the median taxel's largest mean: less leaves over 5 % of error
 DEAD_BELOW = 0.05  # of the median taxel's response
-LOADED_START = 0.1  # of a typical response by which a taxel reads higher at the start than unloaded later
+LOADED_START = 0.1  # of a typical response: a taxel that reads so much higher at the start was loaded
 TYPICAL_PERCENTILE = 98.0  # of the taxels' responses: those over half of it are typical of pressed ones
 MAX_LOADED_TAXELS = 0.01  # of all: more are no faults
 MAX_SATURATED = 0.2  # of the readings above half the largest

@@ -21,15 +21,15 @@ from tactiled.runtime.fit_process import start
 
 EVERY_FRAMES = 8  # is looked at
 MIN_TAXELS = 0.9  # of all, that count
-SAME_SHAPE = 0.7  # correlation of two frames in turn, from which they are of one contact
-MIN_SNR = 100.0  # of a frame that counts: with 200, 240 s of the tour had no six under 3.9 mm at 0.2 kPa
-CONTACTS = 6  # before the first search, and at most in one: the steepest, as soft ones say nothing
-PAUSE = 100.0  # times the last search: it takes at most 1 % of a core
+SAME_SHAPE = 0.7  # correlation of two successive frames, from which on they show one contact
+MIN_SNR = 100.0  # peak over noise of a frame that counts; with 200, 240 s of the tour had too few under 3.9 mm
+CONTACTS = 6  # for the first search; a search uses the steepest ones, as soft contacts show nothing
+PAUSE = 100.0  # times the duration of the last search: searches take at most 1 % of a core
 # Half of the 95 % interval of the thickness's logarithm, at least: what presses a live sensor comes again, so that
 # contacts share errors which their scatter does not show. Of 12 to 15 sensors on the tour they were 2 to 3.5 %.
 SHARED_ERROR = 0.07
-MIN_HALF_INTERVALS = 1.51  # from the configured thickness that are worth a warning: 3 standard deviations
-MIN_MISMATCH = 0.15  # of it that is: Poisson's ratio of 0.45 that is taken for 0.48 makes 0.11
+MIN_HALF_INTERVALS = 1.51  # between fitted and configured thickness for a warning: 3 deviations
+MIN_MISMATCH = 0.15  # relative, for a warning; a Poisson's ratio of 0.45 for 0.48 makes 0.11
 ZERO_FRAMES = 32  # that are looked at, and over which the zero before a contact is averaged
 
 
@@ -58,7 +58,7 @@ class CoverMonitor:
         self.reset()
 
     def reset(self) -> None:
-        """Forget every contact: their zeros were others."""
+        """Forget every contact: their zeros no longer hold."""
         self._resets += 1
         self._before = np.zeros(self._plan.array.frame_shape, np.float32)
         self._near: list[NDArray[np.float32]] = []  # of the present contact; replaced, never changed, as _waiting
@@ -69,7 +69,7 @@ class CoverMonitor:
         self.warning: tuple[FrameWarning, ...] = ()
 
     def push(self, raw: NDArray[np.float32], flags: NDArray[np.uint8], noise_kpa: float) -> None:
-        """Take a frame in kPa; a contact ends at a lift, or as another shape, its steepest frame then waits."""
+        """Take a frame in kPa. At a lift or a new shape a contact ends, and its steepest frame waits for a search."""
         self._frames += 1
         if not self._judges or self._frames % EVERY_FRAMES or (flags & SATURATED).any():
             return
@@ -82,7 +82,7 @@ class CoverMonitor:
                 self._waiting = sorted([*self._waiting, self._best], key=lambda each: each.steepness)[-CONTACTS:]
             self._best, self._near = None, []
         over = frame - self._zero
-        if over.max() < detection_threshold(1.0, frame.size):  # nothing touches, and zeros may drift
+        if over.max() < detection_threshold(1.0, frame.size):  # no contact: zeros may drift
             self._zero_frames = min(self._zero_frames + 1, ZERO_FRAMES)
             self._zero = self._zero + over / np.float32(self._zero_frames)
         if touched:
@@ -105,7 +105,7 @@ class CoverMonitor:
             if error:
                 raise error
             self._profiles, self.warning = outcome[0], self._judged(outcome[1])
-            if self._resets != self._resets_before:  # asked last, as a reset may come at any time
+            if self._resets != self._resets_before:  # checked last: a reset may come at any time
                 self._profiles, self.warning = None, ()
         elif now >= self._due and len(self._waiting) >= (1 if self._profiles else CONTACTS):
             self._began, self._resets_before = now, self._resets

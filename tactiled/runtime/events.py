@@ -30,7 +30,7 @@ LOGGED_AS_WARNINGS: frozenset[Kind] = frozenset({
     "config_refused",
 })  # fmt: skip
 LOG = logging.getLogger("tactiled.events")
-LOG.addHandler(logging.NullHandler())  # who embeds the service and configures no log gets none
+LOG.addHandler(logging.NullHandler())  # a program that embeds the service and configures no log gets none
 
 
 def duration(seconds: float) -> str:

@@ -30,8 +30,8 @@ MarkKey = Literal["pressure_kpa", "weight_n"]
 MARKS: dict[GainWay, tuple[MarkKey, str]] = {"uniform": ("pressure_kpa", "kPa"), "weight": ("weight_n", "N")}
 Floats = NDArray[np.float64]
 MIN_STEPS = 3  # pressures, 0 among them
-MAX_DRIFT_SHARE = 0.02  # of a load, by which it may move within the second that is taken
-MIN_MARK_FRAMES = 10  # as many as a gain's fit takes its first guess of no load from
+MAX_DRIFT_SHARE = 0.02  # of a load: largest change within the second that is taken
+MIN_MARK_FRAMES = 10  # from as many a gain's fit first guesses no load
 STEADY_SIGMAS = 5.0  # of noise: a false "still moving" once in a million marks
 CURVE_POINTS = 60  # of a plotted curve
 

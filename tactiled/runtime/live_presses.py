@@ -72,7 +72,7 @@ class LivePresses:
 
 
 class LiveContact:
-    """How long anything has touched the array, of a collector that only grows."""
+    """Seconds of contact in the frames of a collector."""
 
     def __init__(self, sensor: Sensor) -> None:
         self._sensor, self._first = sensor, 0

@@ -31,7 +31,7 @@ class Noise:
     """Standard deviation of a taxel, in `unit`: as configured, else of the first frames; measured now and then."""
 
     def __init__(self, calibration: Calibration, unit: Unit, before: "Noise | None" = None) -> None:
-        """`before` is of the same array by another gain: as many counts of noise are a start."""
+        """`before` is of the same array with another gain: its noise in counts is the start."""
         self._unit = unit
         self._floor, self._configured = calibration.floor_kpa, calibration.noise_kpa
         self.kpa: float = self._configured or self._floor * (before.kpa / before._floor if before else 1.0)
