@@ -69,7 +69,7 @@ class CoverMonitor:
         self.warning: tuple[FrameWarning, ...] = ()
 
     def push(self, raw: NDArray[np.float32], flags: NDArray[np.uint8], noise_kpa: float) -> None:
-        """Take a frame in kPa. At a lift or a new shape a contact ends, and its steepest frame waits for a search."""
+        """Take a frame in kPa. A lift or a new shape ends a contact; its steepest frame then waits."""
         self._frames += 1
         if not self._judges or self._frames % EVERY_FRAMES or (flags & SATURATED).any():
             return
