@@ -80,13 +80,24 @@ test("an automatic range holds every peak and does not flicker", () => {
   assert.ok(highs.filter((high, i) => i > 50 && high !== highs[i - 1]).length <= 1);
   const rising = tops(Array.from({ length: 500 }, (_, i) => 1 + 2 * i));
   assert.ok(rising.every((high, i) => !i || high >= rising[i - 1]));
-  const falling = tops(Array.from({ length: 3510 }, (_, i) => (i < 10 ? 1000 : 10)));
-  const steps = [...new Set(falling)];
-  assert.deepEqual(steps, [1000, 500, 200, 100, 50, 20]);
-  const seconds = steps.slice(1).map((top) => (falling.indexOf(top) - 9) / 50);
-  for (const [i, share] of [0.415, 0.16, 0.0758, 0.0328, 0.0071].entries()) {
-    assert.ok(Math.abs(seconds[i] - 10 * Math.log(1 / share)) < 0.3, `${seconds}`); // a tenth of the distance a second
+  const seconds = (to) => { // until the range holds a press that fell from 1000
+    const highs = tops(Array.from({ length: 3510 }, (_, i) => (i < 10 ? 1000 : to)));
+    return (highs.findIndex((high) => high <= 4 * to) - 9) / 50;
+  };
+  assert.ok(seconds(10) < 5 && seconds(200) < 1); // it does not stay in the lowest quarter
+  const half = tops(Array.from({ length: 3510 }, (_, i) => (i < 10 ? 1000 : 400)));
+  for (const [top, share] of [[800, 0.467], [600, 0.183], [500, 0.0417]]) { // a tenth of the distance a second
+    assert.ok(Math.abs((half.indexOf(top) - 9) / 50 - 10 * Math.log(1 / share)) < 0.3, `${top}`);
   }
+  const lifted = tops(Array.from({ length: 500 }, (_, i) => (i % 50 < 25 ? 100 : 0)));
+  assert.equal(new Set(lifted.slice(1)).size, 1); // presses with pauses do not flicker
+});
+
+test("a frame that is paused has a range of its own", () => {
+  const range = new DisplayRange();
+  range.follow(1000, 0.5, 0);
+  range.show(33, 0.5);
+  assert.equal(range.high, 40);
 });
 
 test("a fixed range stays until it is released", () => {

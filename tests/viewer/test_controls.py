@@ -124,7 +124,7 @@ def test_whatever_the_address_names_a_sensor_is_shown(rig, url, open_page, addre
     assert open_page(f"{url}/{address}").url == f"{url}/#palm"
 
 
-KEY_COLORS = """[...document.querySelectorAll("#charts section:first-child .key span")].map(each => {
+KEY_COLORS = """[...document.querySelectorAll(".chart:first-child .key span")].map(each => {
   const { backgroundColor, backgroundImage } = getComputedStyle(each, "::before");
   return `${backgroundColor} ${backgroundImage}`;
 })"""

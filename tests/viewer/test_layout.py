@@ -85,16 +85,16 @@ def test_nothing_is_cut_off_or_covered_at_any_size(pair, open_page):
         page.set_viewport_size(size)
         for key in (2, 1):
             choose(page, key)
-            parts = [page.box(each) for each in ("#raw-frame", "#probe", "#range", "#playback", "#charts")]
+            parts = [page.box(each) for each in ("#raw-frame", "#probe", "#range", "#playback")]
             for above, below in itertools.pairwise(parts):
                 beside = above["x"] + above["width"] <= below["x"]
                 assert beside or above["y"] + above["height"] <= below["y"], (above, below)
             assert parts[-1]["y"] + parts[-1]["height"] <= size["height"]
     choose(page, 2)  # lower than the square: it leaves no room empty
-    frame, under, charts = (page.box(each) for each in ("#raw-frame", "#under", "#charts"))
+    frame, under, playback, side = (page.box(each) for each in ("#raw-frame", "#under", "#playback", "#side"))
     assert frame["height"] < square["height"] - 20
     assert under["y"] - frame["y"] - frame["height"] < 20 + 30  # its axis and a gap
-    assert charts["y"] + charts["height"] == pytest.approx(DESK["height"] - 12, abs=2)
+    assert side["y"] - playback["y"] - playback["height"] == pytest.approx(12, abs=2)
     choose(page, 1)
     page.wait(f"document.getElementById('raw-frame').clientHeight === {square['height']}")
     assert page.box("#raw-frame") == square
@@ -110,14 +110,37 @@ def test_nothing_is_cut_off_or_covered_at_any_size(pair, open_page):
     sizes = ((1024, 768), (768, 1024), (960, 540), (1161, 800), (1241, 800), (1440, 900), (390, 844))
     for width, height in sizes:
         page.resize(width, height)
-        for title in page.locator("#charts h2").all():
+        for title in page.locator(".chart h2").all():
             assert title.evaluate(FITS)
+        if width == 1440:
+            assert min(page.box(each)["width"] for each in ("#raw", "#restored")) >= 560
         assert page.evaluate(SCROLL_WIDTH) <= width
         for name in ("#raw", "#restored"):
             canvas = page.box(name)
             assert canvas["x"] >= 0
             assert canvas["x"] + canvas["width"] <= width
             assert canvas["width"] >= 120
+
+
+def test_panels_are_folded_enlarged_and_put_beside_the_maps_and_a_browser_keeps_that(rig, url, open_page):
+    rig.show(pressed())
+    page = open_page(url, **DESK)
+    below = page.box("#raw-frame")["width"]
+    page.get_by_role("button", name="Fold Regions").click()
+    page.get_by_role("button", name="Enlarge Total force").click()
+    page.refreshed()
+    assert page.box("#forces")["height"] > 400
+    page.get_by_role("button", name="Put the panels beside the maps").click()
+    for _ in range(2):
+        page.refreshed(4)
+        frame, side = page.box("#restored-frame"), page.box("#side")
+        assert frame["x"] + frame["width"] <= side["x"]
+        assert frame["width"] < below
+        assert side["y"] + side["height"] <= DESK["height"]
+        assert not page.locator("#region-rectangle").is_visible()
+        assert page.box("#forces")["height"] > 400
+        page.reload()
+        page.wait(f"{PAINTINGS} > 0")
 
 
 FINGERS = "".join(
@@ -143,10 +166,10 @@ def test_sensors_without_a_frame_show_nothing_of_another_and_maps_stand_as_they_
         page.wait(f"document.getElementById('raw-frame').clientWidth > {width}")
         page.wait(f"document.getElementById('boxes').classList.contains('stacked') === {str(stacked).lower()}")
         page.refreshed(4)
-        raw, restored, charts = (page.box(each) for each in ("#raw-frame", "#restored-frame", "#charts"))
+        raw, restored, last = (page.box(each) for each in ("#raw-frame", "#restored-frame", "#playback"))
         assert (raw["y"] < restored["y"]) == stacked
         assert (raw["x"] < restored["x"]) != stacked
-        assert charts["y"] + charts["height"] <= 900
+        assert last["y"] + last["height"] <= 900
     page.set_viewport_size(PHONE)
     for key, name in (("5", "ring"), ("1", "palm"), ("4", "middle")):
         page.press(key)

@@ -33,7 +33,7 @@ def test_the_difference_has_its_own_two_sided_scale_and_an_address_keeps_the_vie
     signed = page.pixels("difference")[..., :3]
     assert (np.abs(signed - colors_of(url, "RdBu_r")[levels]) <= 6).all()
     assert not page.locator("#raw").is_visible()
-    page.locator("#restored-frame").click()
+    page.locator("#difference-frame").click()
     probe = page.locator("#probe", has_text="difference")
     row, column = map(int, re.search(r"taxel r(\d+) c(\d+)", probe.inner_text()).groups())
     signed_text = f"{difference[row, column]:+.1f}".replace("-", "\u2212")
@@ -66,9 +66,17 @@ def test_on_the_slider_raw_ends_where_restored_begins(rig, url, open_page):
                 at = f"{raw['x'] + raw['width'] * x / 100}, {raw['y'] + raw['height'] / 2}"
                 assert page.evaluate(f"document.elementFromPoint({at}).closest('.frame').id") == f"{name}-frame"
         assert page.violations() == []
+    page.resize(**DESK)
+    frame, handle = page.box("#restored-frame"), page.box("#split-handle")
+    page.mouse.move(handle["x"] + handle["width"] / 2, handle["y"] + handle["height"] / 2)
+    page.mouse.down()
+    page.mouse.move(frame["x"] + 0.25 * frame["width"], frame["y"] + 5)
+    page.mouse.up()
+    page.wait("document.getElementById('split').value === '25'")
+    assert frame["height"] > 0.6 * DESK["height"]
     page.locator("#split").focus()
     page.press("ArrowRight")
-    page.wait(f"document.getElementById('split').value === '76' && !{PAUSED}")
+    page.wait(f"document.getElementById('split').value === '26' && !{PAUSED}")
 
 
 LABEL = "document.getElementById('restored-surface').ariaLabel"

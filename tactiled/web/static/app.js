@@ -2,11 +2,12 @@
 
 import * as api from "./api.js";
 import { CalibrationPage } from "./calibration_page.js";
-import { controls } from "./controls.js";
+import { CONTACTS_KEY, controls } from "./controls.js";
 import { byId } from "./dom.js";
 import { EventLog } from "./event_log.js";
 import { notice, messageOf } from "./notice.js";
 import { PageText } from "./page_text.js";
+import { Panels } from "./panels.js";
 import { PlaybackPage } from "./playback_page.js";
 import { PlaybackSession } from "./playback_session.js";
 import { methodTitle } from "./readings.js";
@@ -47,6 +48,7 @@ const recorder = new Recorder(() => sensors.find((each) => each.name === viewer.
 const playback = new PlaybackPage(viewer, () => recorder.update());
 viewer.drawOverview = (/** @type {number} */ unit) => playback.draw(unit);
 const calibration = new CalibrationPage(viewer);
+new Panels(() => viewer.layout());
 /** @type {Sensor[]} */
 let sensors = [];
 let last = ""; // sensor that was shown before all of them
@@ -132,6 +134,11 @@ async function loadOffers() {
   log.offer(offered.has("/events"));
   const demo = offered.has("/config") && await api.isDemo();
   byId("recordings-demo").hidden = !(demo && offered.has("/recordings"));
+  const contacts = loadSetting(CONTACTS_KEY) ?? String(!demo); // the demo's are many, and lie over what is restored
+  if (contacts === "false") {
+    /** @type {HTMLInputElement} */ (byId("contacts-on")).checked = false;
+    viewer.showContacts(false);
+  }
   byId("demo").hidden = !demo || loadSetting(DEMO_KEY) !== null;
   await viewer.view.load();
 }
@@ -207,6 +214,7 @@ window.addEventListener("hashchange", ({ newURL }) => { // a link was opened in 
   window.history.replaceState(null, "", newURL); // the page may have written its own already
   location.reload();
 });
+new ResizeObserver(([{ target }]) => document.body.style.setProperty("--head", `${target.clientHeight}px`)).observe(byId("head"));
 new ResizeObserver(() => viewer.layout()).observe(byId("boxes"));
 new ResizeObserver(() => wall.restyle()).observe(byId("wall"));
 for (const id of ["section", "forces", "latencies", "kernel", "colorbar"]) {

@@ -1,5 +1,6 @@
 /** The legend: the shared colour scale with its ticks. @module */
 
+import { ABOVE, BELOW } from "./colormap.js";
 import { fitCanvas, themeColors, context2d } from "./dom.js";
 import { endsAndTicks, tickText } from "./ticks.js";
 import { UNITS } from "./units.js";
@@ -9,6 +10,7 @@ import { UNITS } from "./units.js";
 
 const BAR = 16; // px across the bar
 const ENDS = { standing: 9, lying: 16 }; // px kept free at each end, for half a label
+const CAP = 6; // px, of what lies beyond each end
 
 export class Colorbar {
   /** @param {HTMLCanvasElement} canvas */
@@ -59,7 +61,8 @@ export class Colorbar {
   /** @param {Colormap} colormap */
   _draw(colormap) {
     const { _low: low, _high: high, _width: width, _height: height } = this;
-    this.canvas.setAttribute("aria-label", `Colour scale from ${tickText(low, high - low)} to ${tickText(high, high - low)} ${UNITS[this._unit]}`);
+    this.canvas.setAttribute("aria-label",
+      `Colour scale from ${tickText(low, high - low)} to ${tickText(high, high - low)} ${UNITS[this._unit]}${colormap.signed ? "" : "; beyond its ends cyan is above it, light blue clearly below zero"}`);
     const ratio = fitCanvas(this.canvas, width, height);
     const draw = this._pen;
     const ink = themeColors();
@@ -75,6 +78,13 @@ export class Colorbar {
     draw.fillStyle = ramp;
     if (standing) draw.fillRect(0, end, BAR, length);
     else draw.fillRect(end, 0, length, BAR);
+    if (!colormap.signed) {
+      for (const [color, at] of /** @type {const} */ ([[ABOVE, standing ? end - CAP - 1 : end + length + 1], [BELOW, standing ? end + length + 1 : end - CAP - 1]])) {
+        draw.fillStyle = colormap.css[color];
+        if (standing) draw.fillRect(0, at, BAR, CAP);
+        else draw.fillRect(at, 0, CAP, BAR);
+      }
+    }
     draw.fillStyle = ink.text;
     draw.strokeStyle = ink.muted;
     draw.lineWidth = 1;

@@ -2,8 +2,8 @@
 
 /** @typedef {[number, number, number]} Color red, green and blue, 0 to 255 */
 
-const BELOW = 256; // index of what is clearly below zero,
-const ABOVE = 257; // and of what is above the range
+export const BELOW = 256; // index of what is clearly below zero,
+export const ABOVE = 257; // and of what is above the range
 /** @type {Color[]} that no colour map has at that end */
 const BEYOND = [[122, 140, 255], [0, 229, 255]];
 

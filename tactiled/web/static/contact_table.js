@@ -6,7 +6,7 @@ import { forceNumber } from "./units.js";
 
 /** @import { Contact } from "./sensor_stream.js" */
 
-const MAX_ROWS = 6; // rows, the strongest
+export const MAX_ROWS = 6; // contacts, the strongest: the maps mark no more
 const COLUMNS = 6;
 
 export class ContactTable {

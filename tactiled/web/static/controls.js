@@ -12,6 +12,7 @@ import { notice } from "./notice.js";
 import { PlaybackSession } from "./playback_session.js";
 import { provenance } from "./provenance.js";
 import { methodTitle } from "./readings.js";
+import { saveSetting } from "./storage.js";
 import { tare, undoTare } from "./tare.js";
 import { timeOffset } from "./timeline.js";
 import { withToken } from "./token_dialog.js";
@@ -34,6 +35,8 @@ import { withToken } from "./token_dialog.js";
  * @property {() => void} toggleWall
  * @property {() => void} nextTheme
  */
+
+export const CONTACTS_KEY = "tactiled.contacts"; // whether they are shown
 
 const picker = /** @type {HTMLSelectElement} */ (byId("method"));
 const help = /** @type {HTMLDialogElement} */ (byId("help"));
@@ -66,7 +69,10 @@ function buttons(viewer, targets) {
   press("help-close", () => help.close());
   press("banner-action", () => viewer.session?.stream.retry());
   scrub.addEventListener("input", () => viewer.show(Number(scrub.max) - Number(scrub.value)));
-  contacts.addEventListener("change", () => viewer.showContacts(contacts.checked));
+  contacts.addEventListener("change", () => {
+    saveSetting(CONTACTS_KEY, String(contacts.checked));
+    viewer.showContacts(contacts.checked);
+  });
   shear.addEventListener("change", () => viewer.showShear(shear.checked));
 }
 

@@ -1,9 +1,11 @@
 /** The pressure range that both maps share: fixed by hand, or following the data without flicker. @module */
 
-const STEPS = [1, 2, 5, 10];
-const FALL_S = 10; // the range rises at once and falls by a tenth of the distance a second
+const STEPS = [1, 1.2, 1.5, 2, 2.5, 3, 4, 5, 6, 8, 10];
+const FALL_S = 10; // the range rises at once and falls by a tenth of the distance a second,
+const FAST_FALL_S = 1; // or by all of it where a press fills less than LOW of what the range holds
+const LOW = 0.35; // which is a quarter of the range or more, as it holds no less than KEEP_ABOVE of itself
 const HYSTERESIS = 0.85; // a smaller range is taken only once the data fill less than this much of it
-const KEEP_ABOVE = 0.425; // of a range, above which no smaller one is taken: HYSTERESIS times 1 over 2, the nearest two of STEPS
+const KEEP_ABOVE = 0.709; // of a range, above which no smaller one is taken: HYSTERESIS times 2.5 over 3, the nearest two of STEPS
 const MIN_TOP = 1; // kPa, or counts
 const BELOW_ZERO = { deviations: 5, share: 0.02 }; // of the noise, and of the range's top: what is further below zero is marked
 const MIN_RELATIVE_SPAN = 1e-6; // of its larger end, what a range spans at least: ticks and colours must differ
@@ -57,9 +59,23 @@ export class DisplayRange {
   follow(peak, noise, time) {
     const elapsed = Math.min(1, Math.max(0, time - this._time));
     this._time = time;
-    const needed = Math.max(peak, this._minTop, 15 * noise);
-    this._peak = Math.max(needed, needed + (this._peak - needed) * Math.exp(-elapsed / FALL_S));
+    const least = Math.max(this._minTop, 15 * noise);
+    const needed = Math.max(peak, least);
+    const fall_s = peak > least && peak < LOW * this._peak ? FAST_FALL_S : FALL_S;
+    this._peak = Math.max(needed, needed + (this._peak - needed) * Math.exp(-elapsed / fall_s));
     if (this.auto) this.high = steadyTop(this.high, this._peak);
+    this._setFloor(noise);
+  }
+
+  /** Take the range of one frame alone, as of one that is paused. @param {number} peak @param {number} noise as in `follow` */
+  show(peak, noise) {
+    this._peak = Math.max(peak, this._minTop, 15 * noise);
+    if (this.auto) this.high = roundUp(this._peak);
+    this._setFloor(noise);
+  }
+
+  /** @param {number} noise */
+  _setFloor(noise) {
     this.floor = -Math.max(BELOW_ZERO.deviations * noise, BELOW_ZERO.share * this.high);
   }
 

@@ -177,9 +177,10 @@ export class Maps {
   layout() {
     const plane = this._plane;
     if (!plane) return;
-    const box = /** @type {HTMLElement} */ (this.restored.frame.parentElement); // which every view has
+    const shown = this._maps.find((each) => each.frame.offsetParent) ?? this.restored;
+    const box = /** @type {HTMLElement} */ (shown.frame.parentElement);
     const maps = byId("maps");
-    const single = maps.dataset.view === "slider";
+    const single = document.body.classList.contains("single");
     const surface = maps.dataset.view === "surface";
     maps.style.removeProperty("--most"); // to see what room there is
     let stacked = WIDE_WINDOW.matches ? this._largerStacked(plane, box) : plane.width > LONG_RATIO * plane.height;
@@ -198,6 +199,7 @@ export class Maps {
     const tops = this._maps.filter((each) => each.frame.offsetParent).map((each) => each.frame.getBoundingClientRect().top);
     const mapHeight = surface ? box.clientHeight - AXIS_BOTTOM_PX : Math.max(...tops) - Math.min(...tops) + plane.height * zoom;
     maps.style.setProperty("--map-height", `${mapHeight}px`);
+    maps.style.setProperty("--map-width", `${plane.width * zoom}px`);
     if (surface) {
       this.projection.fit(plane, box.clientWidth, box.clientHeight);
       for (const each of this._surfaces) each.resize(box.clientWidth, box.clientHeight);

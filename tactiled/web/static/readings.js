@@ -3,7 +3,7 @@
 import { byId, element, setText } from "./dom.js";
 import { fixed, number } from "./format.js";
 import { measures } from "./measures.js";
-import { forceNumber, lengthText, pressureText } from "./units.js";
+import { forceNumber, forceText, lengthText, pressureText } from "./units.js";
 import { Alerts } from "./warnings.js";
 
 /** @import { Loss, Sensor } from "./api.js" */
@@ -104,6 +104,9 @@ export class Readings {
     const idle = frame?.method === "idle";
     showMeasures(this._raw, frame ? frame.ofRaw : NO_MEASURES, unit, idle);
     showMeasures(this._restored, frame ? frame.ofRestored : NO_MEASURES, unit, idle);
+    for (const [kind, of] of /** @type {const} */ ([["raw", frame?.ofRaw], ["restored", frame?.ofRestored]])) {
+      setText(byId(`${kind}-caption`), of ? `${forceText(of.force, unit)}, peak ${pressureText(of.peak, unit)}` : "");
+    }
     setText(at.iterations, frame ? String(frame.iterations) : "\u2013");
     setText(at.microseconds, frame ? time(frame.microseconds) : "\u2013");
     setText(at.resolution, frame && frame.method !== "idle" ? lengthText(frame.resolutionMm, 2) : "\u2013");

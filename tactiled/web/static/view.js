@@ -11,6 +11,7 @@ import { loadSetting, saveSetting } from "./storage.js";
 
 const KEY = "tactiled.colors";
 const SCALE_KEY = "tactiled.scale";
+const SINGLE = new Set(["slider", "raw", "restored", "difference"]); // views of one map
 const DIFFERENCE_COLORS = "RdBu_r"; // blue below zero, red above, told apart by the colour-blind
 
 /** What the address says behind a sensor's name. @returns {URLSearchParams} */
@@ -43,6 +44,17 @@ export class View {
     });
     this._colors.addEventListener("change", () => this._recolor());
     this._split.addEventListener("input", () => this._cut());
+    const handle = byId("split-handle");
+    handle.addEventListener("pointerdown", (event) => {
+      event.preventDefault();
+      handle.setPointerCapture(event.pointerId);
+    });
+    handle.addEventListener("pointermove", ({ clientX, pointerId }) => {
+      if (!handle.hasPointerCapture(pointerId)) return;
+      const { left, width } = byId("restored-frame").getBoundingClientRect();
+      this._split.value = String((100 * (clientX - left)) / width);
+      this._cut();
+    });
     const given = inAddress();
     pick(this._views, given.get("view"));
     pick(this._colors, given.get("colors") ?? loadSetting(KEY));
@@ -56,7 +68,7 @@ export class View {
     this._show();
   }
 
-  /** @returns {string} both, slider, difference or surface */
+  /** @returns {string} both, slider, raw, restored, difference or surface */
   get name() {
     const { value } = this._views;
     return value === "surface" && this._surface.disabled ? "both" : value;
@@ -114,11 +126,13 @@ export class View {
 
   _show() {
     byId("maps").dataset.view = this.name;
+    document.body.classList.toggle("single", SINGLE.has(this.name));
     byId("split-choice").hidden = this.name !== "slider";
   }
 
   _cut() {
     byId("boxes").style.setProperty("--split", `${this._split.value}%`);
+    byId("boxes").style.setProperty("--cut", String(Number(this._split.value) / 100));
   }
 }
 

@@ -2,6 +2,7 @@
 
 import * as api from "./api.js";
 import { ContactOutline } from "./contact_outline.js";
+import { MAX_ROWS } from "./contact_table.js";
 import { CrossSection, placeLine } from "./cross_section.js";
 import { DisplayRange } from "./display_range.js";
 import { byId } from "./dom.js";
@@ -75,6 +76,8 @@ export class Viewer {
     this._fresh = false; // a frame came that is not painted yet
     this._dirty = false;
     this._trendsAt = 0;
+    /** @type {Contact[]|null} in the frame that is marked */
+    this._found = null;
     this._paint = this._paint.bind(this);
   }
 
@@ -161,7 +164,9 @@ export class Viewer {
     marks.probeX = probe.x;
     marks.probeY = probe.y;
     marks.pinned = probe.pinned;
-    marks.contacts = this.contactsOfFrame?.contacts ?? null;
+    const contacts = this.contactsOfFrame?.contacts ?? null;
+    if (contacts !== this._found) marks.contacts = contacts?.slice(0, MAX_ROWS) ?? null;
+    this._found = contacts;
     for (const each of marks.contacts ?? []) if (!marks.labels.has(each.id)) marks.labels.set(each.id, this._labelOf(each)); // a new one
     marks.outline.update(frame, session.plane, marks.contacts);
     marks.outlined = marks.contacts?.length ? frame.sequence : -1;
@@ -226,7 +231,7 @@ export class Viewer {
     this.name = "";
     this._fresh = false;
     this.marks.lineAt = NaN;
-    this.marks.contacts = null;
+    this.marks.contacts = this._found = null;
     this.pace.reset();
     this.probe.clear();
     for (const range of this.ranges) range.reset();
@@ -319,17 +324,22 @@ export class Viewer {
 
   /** @param {Frame} frame */
   _take(frame) {
-    const noise = Number.isFinite(frame.noise) ? frame.noise : 0;
-    const gain = Number.isFinite(frame.noiseGain) ? frame.noiseGain : 1;
-    const peak = Math.max(frame.ofRaw.peak || 0, frame.ofRestored.peak || 0);
-    this.range.follow(peak, noise * Math.max(1, gain), frame.timestamp);
+    const { session } = this;
+    if (!session?.paused) this.range.follow(peakOf(frame), noiseOf(frame), frame.timestamp);
     this._fresh = true;
     this.refresh();
+  }
+
+  /** Fit an automatic range to the frame that is paused. */
+  _fit() {
+    const frame = this.session?.paused ? this.session.frame : null;
+    if (frame) this.range.show(peakOf(frame), noiseOf(frame));
   }
 
   /** @param {boolean} to */
   pause(to) {
     this.session?.pause(to);
+    this._fit();
     this.refresh();
     this._listener.onChange();
   }
@@ -344,7 +354,14 @@ export class Viewer {
   /** @param {number} back from the newest frame */
   show(back) {
     this.session?.show(back);
+    this._fit();
     this.refresh();
     this._listener.onChange();
   }
 }
+
+/** @param {Frame} frame @returns {number} the higher peak of both images */
+const peakOf = (frame) => Math.max(frame.ofRaw.peak || 0, frame.ofRestored.peak || 0);
+
+/** @param {Frame} frame @returns {number} the larger noise of both images; 0 where it is unknown */
+const noiseOf = ({ noise, noiseGain }) => (Number.isFinite(noise) ? noise : 0) * Math.max(1, Number.isFinite(noiseGain) ? noiseGain : 1);
