@@ -151,7 +151,7 @@ test("the log asks for all events that the service has", async () => {
 test("of two colour maps the one that was chosen last is shown, whichever comes first", async () => {
   const elements = {};
   globalThis.document = {
-    getElementById: (id) => elements[id] ??= { options: [], dataset: {}, style: { setProperty() {} }, addEventListener() {} },
+    getElementById: (id) => elements[id] ??= { options: [], dataset: {}, classList: { toggle() {} }, style: { setProperty() {} }, addEventListener() {} },
   };
   globalThis.location = { hash: "" };
   const view = new View([], null, () => {});

@@ -1,10 +1,10 @@
 /** Buttons, fields and keys. @module */
 
 import * as api from "./api.js";
-import { byId, setText } from "./dom.js";
+import { byId, drawnFiner, setText } from "./dom.js";
 import { download } from "./download.js";
 import { csvText } from "./export_csv.js";
-import { savePng } from "./export_png.js";
+import { PICTURE_RATIO, savePng } from "./export_png.js";
 import { positionText } from "./format.js";
 import { ACROSS } from "./geometry.js";
 import { listenForKeys } from "./keyboard.js";
@@ -155,12 +155,17 @@ function save(kind, viewer, targets) {
   if (kind === "csv") {
     const text = csvText(plane, frame, provenance(name, frame, statusOfFrame, state));
     download(name, frame, "csv", new Blob([text], { type: "text/csv" }));
-  } else {
-    const { contactsOfFrame } = viewer;
-    const offset = contactsOfFrame?.contacts.length ? timeOffset(contactsOfFrame, frame) : "";
-    const origin = provenance(name, frame, statusOfFrame, state + (offset && `, contacts from ${offset}`));
-    savePng(session, frame, viewer.maps, viewer.range, colormap, origin, viewer.shear && frame.sheared);
+    return;
   }
+  const { contactsOfFrame } = viewer;
+  const offset = contactsOfFrame?.contacts.length ? timeOffset(contactsOfFrame, frame) : "";
+  const origin = provenance(name, frame, statusOfFrame, state + (offset && `, contacts from ${offset}`));
+  drawnFiner(PICTURE_RATIO, () => {
+    viewer.layout();
+    viewer.write();
+    savePng(session, frame, viewer, colormap, origin);
+  });
+  viewer.layout();
 }
 
 /** Move the pinned probe by cells. @param {Viewer} viewer @param {number} dx @param {number} dy @returns {boolean} one is pinned */

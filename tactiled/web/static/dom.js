@@ -43,15 +43,27 @@ export function context2d(canvas) {
   return context;
 }
 
+let pictureRatio = 0; // pixels per CSS px while a picture is made
+
+/** Draw finer meanwhile, for a picture. @param {number} ratio pixels per CSS px @param {() => void} action */
+export function drawnFiner(ratio, action) {
+  pictureRatio = ratio;
+  try {
+    action();
+  } finally {
+    pictureRatio = 0;
+  }
+}
+
 /**
  * Fit a canvas's pixels to the size it is shown at.
  * @param {HTMLCanvasElement} canvas
  * @param {number} width CSS px
  * @param {number} height CSS px
- * @param {number} [ratio] pixels per CSS px, else those of the screen
+ * @param {number} [ratio] pixels per CSS px, else those of the picture or the screen
  * @returns {number} pixels per CSS px
  */
-export function fitCanvas(canvas, width, height, ratio = window.devicePixelRatio || 1) {
+export function fitCanvas(canvas, width, height, ratio = pictureRatio || window.devicePixelRatio || 1) {
   const w = Math.max(1, Math.round(width * ratio));
   const h = Math.max(1, Math.round(height * ratio));
   if (canvas.width !== w) canvas.width = w;

@@ -1,5 +1,6 @@
-/** Both maps with their legend and readings as a PNG file. @module */
+/** The maps as they are seen, with their legend and readings, as a PNG file. @module */
 
+import { ABOVE, BELOW } from "./colormap.js";
 import { context2d, themeColors } from "./dom.js";
 import { download } from "./download.js";
 import { fixed } from "./format.js";
@@ -10,12 +11,15 @@ import { UNITS, forceText, lengthText, pressureText, shearText } from "./units.j
 /** @import { Colormap } from "./colormap.js" */
 /** @import { DisplayRange } from "./display_range.js" */
 /** @import { Frame } from "./frame_history.js" */
-/** @import { Maps } from "./maps.js" */
 /** @import { Plane } from "./geometry.js" */
 /** @import { Measures } from "./measures.js" */
 /** @import { Session } from "./session.js" */
 /** @import { ShearArrows } from "./shear_arrows.js" */
+/** @import { Viewer } from "./viewer.js" */
 
+/** @typedef {{title: string, frames: HTMLElement[], of: Measures|null}} Shown a map; of two frames the first ends at the slider */
+
+export const PICTURE_RATIO = 2; // pixels per px
 const MAP_PX = 640; // px, a map's longer side
 const MARGIN_PX = 32;
 const TOP_PX = 84;
@@ -28,42 +32,48 @@ const TICK_GAP_PX = 44; // px between two of its ticks
 const [TITLE_PX, TEXT_PX] = [19, 15]; // px, of letters
 
 /**
- * Save both maps with their legend and readings.
+ * Save what is seen of the maps with their legend and readings; of 3-D surfaces the flat maps.
  * @param {Pick<Session, "name"|"plane">} session
  * @param {Frame} frame
- * @param {Maps} maps
- * @param {DisplayRange} range
+ * @param {Pick<Viewer, "maps"|"view"|"range"|"shear">} viewer
  * @param {Colormap} colormap
  * @param {[string, string][]} origin name and value of what is said of the frame; the first two are its title
- * @param {boolean} shear whether it is shown
  */
-export function savePng({ name, plane }, frame, maps, range, colormap, origin, shear) {
+export function savePng({ name, plane }, frame, { maps, view, range, shear }, colormap, origin) {
   const zoom = MAP_PX / Math.max(plane.width, plane.height);
   const w = Math.round(plane.width * zoom);
   const h = Math.round(plane.height * zoom);
   const title = `${name}, frame ${frame.sequence}`;
   const size = `map ${fixed(plane.width, 1)} × ${lengthText(plane.height)}, resolution ${lengthText(frame.resolutionMm, 2)}`;
-  const [ofRaw, ofRestored] = [frame.ofRaw, frame.ofRestored].map((each) => summaryLines(each, frame.unit));
-  const column = Math.max(w, widest([...ofRaw, ...ofRestored], TEXT_PX));
+  const signed = view.name === "difference" ? view.signed : null;
+  const shown = shownMaps(frame, maps, view.name);
+  const below = shown.map(({ of }) => (of ? summaryLines(of, frame.unit) : []));
+  const column = Math.max(w, widest(["", ...below.flat()], TEXT_PX));
   const bodyHeight = Math.max(h, MIN_LEGEND_PX);
-  const canvas = document.createElement("canvas");
   const step = AXIS_LEFT_PX + column + MARGIN_PX; // from one map to the next
-  const width = Math.max(2 * step + LEGEND_PX, widest([title], TITLE_PX), MIN_TEXT_PX);
+  const width = Math.max(shown.length * step + LEGEND_PX, widest([title], TITLE_PX), MIN_TEXT_PX);
   const said = origin.slice(2).map(([what, value]) => (what === "time" || what === "state" ? value : `${what} ${value}`));
   const lines = wrap([...said, size].join(", "), width, TEXT_PX);
-  canvas.width = 2 * MARGIN_PX + width;
-  canvas.height = TOP_PX + bodyHeight + AXIS_BOTTOM_PX + BOTTOM_PX + LINE_PX * (lines.length + (shear ? 1 : 0));
-  const sheet = new Sheet(canvas, bodyHeight);
+  const arrows = shear && frame.sheared && shown.some(({ frames }) => frames.includes(maps.raw.frame));
+  const height = TOP_PX + bodyHeight + AXIS_BOTTOM_PX + BOTTOM_PX + LINE_PX * (lines.length + (arrows ? 1 : 0));
+  const sheet = new Sheet(2 * MARGIN_PX + width, height, bodyHeight);
   sheet.write(title, MARGIN_PX, 32, TITLE_PX);
-  const [raw, restored] = [[maps.written[0], maps.rawMarks.canvas, maps.arrows.canvas], [maps.written[1], maps.restoredMarks.canvas]];
   const left = MARGIN_PX + AXIS_LEFT_PX;
-  sheet.map("Raw", left, w, h, maps.raw.canvas, raw, plane, ofRaw);
-  sheet.map("Restored", left + step, w, h, maps.restored.canvas, restored, plane, ofRestored);
-  const below = TOP_PX + bodyHeight + AXIS_BOTTOM_PX + 84;
-  lines.forEach((each, at) => sheet.write(each, MARGIN_PX, below + LINE_PX * at, TEXT_PX, sheet.ink.muted));
-  if (shear) sheet.arrow(maps.arrows, MARGIN_PX, below + LINE_PX * lines.length, w);
-  sheet.legend(left + 2 * step - AXIS_LEFT_PX, range, colormap, frame.unit);
-  canvas.toBlob((blob) => blob && download(name, frame, "png", blob), "image/png");
+  shown.forEach((each, i) => sheet.map(each, left + i * step, w, h, plane, view.cut, below[i]));
+  const foot = TOP_PX + bodyHeight + AXIS_BOTTOM_PX + 84;
+  lines.forEach((each, at) => sheet.write(each, MARGIN_PX, foot + LINE_PX * at, TEXT_PX, sheet.ink.muted));
+  if (arrows) sheet.arrow(maps.arrows, MARGIN_PX, foot + LINE_PX * lines.length, w);
+  sheet.legend(left + shown.length * step - AXIS_LEFT_PX, signed ? maps.differenceRange : range, signed ?? colormap, frame.unit);
+  sheet.canvas.toBlob((blob) => blob && download(name, frame, "png", blob), "image/png");
+}
+
+/** @param {Frame} frame @param {Viewer["maps"]} maps @param {string} view @returns {Shown[]} */
+function shownMaps(frame, maps, view) {
+  const raw = { title: "Raw", frames: [maps.raw.frame], of: frame.ofRaw };
+  const restored = { title: "Restored", frames: [maps.restored.frame], of: frame.ofRestored };
+  if (view === "slider") return [{ title: "Raw | Restored", frames: [maps.raw.frame, maps.restored.frame], of: frame.ofRestored }];
+  if (view === "difference") return [{ title: "Restored − raw", frames: [maps.difference.frame], of: null }];
+  return view === "raw" ? [raw] : view === "restored" ? [restored] : [raw, restored];
 }
 
 /** @param {Measures} of an image @param {number} unit of its pressure @returns {string[]} what stands below its map, line by line */
@@ -92,13 +102,17 @@ function wrap(text, width, size) {
 
 /** The picture while it is made. */
 class Sheet {
-  /** @param {HTMLCanvasElement} canvas @param {number} bodyHeight px between head and foot */
-  constructor(canvas, bodyHeight) {
+  /** @param {number} width px @param {number} height px @param {number} bodyHeight px between head and foot */
+  constructor(width, height, bodyHeight) {
+    this.canvas = document.createElement("canvas");
+    this.canvas.width = PICTURE_RATIO * width;
+    this.canvas.height = PICTURE_RATIO * height;
     this.ink = themeColors();
     this._tall = bodyHeight;
-    this._pen = context2d(canvas);
+    this._pen = context2d(this.canvas);
+    this._pen.scale(PICTURE_RATIO, PICTURE_RATIO);
     this._pen.fillStyle = this.ink.panel;
-    this._pen.fillRect(0, 0, canvas.width, canvas.height);
+    this._pen.fillRect(0, 0, width, height);
   }
 
   /**
@@ -115,27 +129,48 @@ class Sheet {
   }
 
   /**
-   * @param {string} title
+   * @param {Shown} shown
    * @param {number} x
    * @param {number} w
    * @param {number} h
-   * @param {HTMLCanvasElement} cells
-   * @param {HTMLCanvasElement[]} marks
    * @param {Plane} plane
+   * @param {number} cut share of the map at which the first of two frames ends
    * @param {string[]} below lines
    */
-  map(title, x, w, h, cells, marks, plane, below) {
+  map({ title, frames }, x, w, h, plane, cut, below) {
     const draw = this._pen;
-    const grid = plane.isGrid;
     this.write(title, x, TOP_PX - 14, 16);
+    const [first, second] = frames;
+    if (second) this._layers(second, x, w, h, plane.isGrid);
+    draw.save();
+    draw.beginPath();
+    draw.rect(x, TOP_PX, second ? cut * w : w, h);
+    draw.clip();
+    this._layers(first, x, w, h, plane.isGrid);
+    draw.restore();
+    draw.fillStyle = "#fff";
+    if (second) draw.fillRect(x + cut * w - 1, TOP_PX, 2, h);
+    drawAxes(draw, plane, w / plane.width, x, TOP_PX, this.ink);
+    below.forEach((each, at) => this.write(each, x, TOP_PX + h + AXIS_BOTTOM_PX + 28 + LINE_PX * at));
+  }
+
+  /**
+   * Draw the cells of a map, and all that lies over them.
+   * @param {HTMLElement} frame
+   * @param {number} x
+   * @param {number} w
+   * @param {number} h
+   * @param {boolean} grid
+   */
+  _layers(frame, x, w, h, grid) {
+    const draw = this._pen;
     draw.fillStyle = grid ? "#8d949c" : "#333c46";
     draw.fillRect(x, TOP_PX, w, h);
     draw.imageSmoothingEnabled = !grid;
-    draw.drawImage(cells, x, TOP_PX, w, h);
-    draw.imageSmoothingEnabled = true;
-    for (const each of marks) draw.drawImage(each, x, TOP_PX, w, h);
-    drawAxes(draw, plane, w / plane.width, x, TOP_PX, this.ink);
-    below.forEach((each, at) => this.write(each, x, TOP_PX + h + AXIS_BOTTOM_PX + 28 + LINE_PX * at));
+    for (const each of frame.querySelectorAll(":scope > canvas")) {
+      draw.drawImage(/** @type {HTMLCanvasElement} */ (each), x, TOP_PX, w, h);
+      draw.imageSmoothingEnabled = true;
+    }
   }
 
   /**
@@ -158,6 +193,12 @@ class Sheet {
     for (let i = 0; i < 256; i += 1) {
       this._pen.fillStyle = colormap.css[i];
       this._pen.fillRect(x, TOP_PX + h * (1 - (i + 1) / 256), 20, h / 256 + 1);
+    }
+    if (!colormap.signed) {
+      for (const [color, y] of [[ABOVE, TOP_PX - 7], [BELOW, TOP_PX + h + 1]]) {
+        this._pen.fillStyle = colormap.css[color];
+        this._pen.fillRect(x, y, 20, 6);
+      }
     }
     const span = range.high - range.low;
     for (const value of endsAndTicks(range.low, range.high, h / TICK_GAP_PX)) {

@@ -127,9 +127,9 @@ export class Maps {
     setText(byId("difference-extremes"), `: ${signedText(low)} to ${signedText(high)} ${UNITS[frame.unit]}${place}`);
   }
 
-  /** @returns {HTMLCanvasElement[]} what is written over raw and restored map */
-  get written() {
-    return this._values.map((each) => each.canvas);
+  /** @returns {DisplayRange} of the difference */
+  get differenceRange() {
+    return this._differenceRange;
   }
 
   /** @param {Frame} frame @param {Colormap} colormap */
@@ -180,7 +180,7 @@ export class Maps {
     const shown = this._maps.find((each) => each.frame.offsetParent) ?? this.restored;
     const box = /** @type {HTMLElement} */ (shown.frame.parentElement);
     const maps = byId("maps");
-    const single = document.body.classList.contains("single");
+    const single = byId("main").classList.contains("single");
     const surface = maps.dataset.view === "surface";
     maps.style.removeProperty("--most"); // to see what room there is
     let stacked = WIDE_WINDOW.matches ? this._largerStacked(plane, box) : plane.width > LONG_RATIO * plane.height;

@@ -6,6 +6,12 @@ const KEY = "tactiled.theme";
 const NEXT = { system: "light", light: "dark", dark: "system" };
 const TITLE = { system: "as the system", light: "light", dark: "dark" };
 
+/** @returns {boolean} the page is dark now */
+export function isDark() {
+  const { theme: chosen } = document.documentElement.dataset;
+  return chosen ? chosen === "dark" : matchMedia("(prefers-color-scheme: dark)").matches;
+}
+
 /**
  * Run the theme button.
  * @param {HTMLButtonElement} button

@@ -5,6 +5,7 @@ import { Colormap } from "./colormap.js";
 import { byId } from "./dom.js";
 import { messageOf, notice } from "./notice.js";
 import { loadSetting, saveSetting } from "./storage.js";
+import { isDark } from "./theme.js";
 
 /** @import { DisplayRange } from "./display_range.js" */
 /** @import { Projection } from "./projection.js" */
@@ -13,6 +14,12 @@ const KEY = "tactiled.colors";
 const SCALE_KEY = "tactiled.scale";
 const SINGLE = new Set(["slider", "raw", "restored", "difference"]); // views of one map
 const DIFFERENCE_COLORS = "RdBu_r"; // blue below zero, red above, told apart by the colour-blind
+/** @type {[number, number, number][]} the same from blue by black to red, for a dark page */
+const DARK_DIFFERENCES = Array.from({ length: 256 }, (_, i) => {
+  const share = (i - 127.5) / 127.5;
+  const end = share < 0 ? [90, 179, 255] : [255, 128, 96];
+  return /** @type {[number, number, number]} */ (end.map((each) => Math.round(16 + (each - 16) * Math.abs(share) ** 0.8)));
+});
 
 /** What the address says behind a sensor's name. @returns {URLSearchParams} */
 function inAddress() {
@@ -36,8 +43,9 @@ export class View {
     this._split = /** @type {HTMLInputElement} */ (byId("split"));
     /** @type {Colormap|null} */
     this.colormap = null;
-    /** @type {Colormap|null} of differences */
-    this.signed = null;
+    /** @type {Colormap|null} of differences on a light page */
+    this._signed = null;
+    this._darkSigned = new Colormap(DARK_DIFFERENCES, true);
     this._views.addEventListener("change", () => {
       this._show();
       onChange();
@@ -66,6 +74,16 @@ export class View {
     if (Number.isFinite(azimuth) && Number.isFinite(elevation)) projection.aim(azimuth, elevation);
     this._cut();
     this._show();
+  }
+
+  /** @returns {number} where raw ends on the slider, as a share of the map */
+  get cut() {
+    return Number(this._split.value) / 100;
+  }
+
+  /** @returns {Colormap|null} of differences */
+  get signed() {
+    return this._signed && isDark() ? this._darkSigned : this._signed;
   }
 
   /** @returns {string} both, slider, raw, restored, difference or surface */
@@ -115,7 +133,7 @@ export class View {
     const [colors, signed] = await Promise.all([api.colormap(value), api.colormap(DIFFERENCE_COLORS)]);
     if (value !== this._colors.value) return; // others were chosen meanwhile
     this.colormap = new Colormap(colors.colors);
-    this.signed = new Colormap(signed.colors, true);
+    this._signed = new Colormap(signed.colors, true);
     this._onChange();
   }
 
@@ -126,13 +144,13 @@ export class View {
 
   _show() {
     byId("maps").dataset.view = this.name;
-    document.body.classList.toggle("single", SINGLE.has(this.name));
+    byId("main").classList.toggle("single", SINGLE.has(this.name));
     byId("split-choice").hidden = this.name !== "slider";
   }
 
   _cut() {
     byId("boxes").style.setProperty("--split", `${this._split.value}%`);
-    byId("boxes").style.setProperty("--cut", String(Number(this._split.value) / 100));
+    byId("boxes").style.setProperty("--cut", String(this.cut));
   }
 }
 
