@@ -135,6 +135,18 @@ test("what repeats in the log of events is one row with its count", () => {
   for (const [time, text] of [[701, "by hand: nnls"], [702, "by hand: tv"], [703, "by hand: tv"]]) add(time, "method_set", text);
   assert.deepEqual(of().slice(0, 4).map(([, , count]) => count), [2, 1, 1, 1]);
   assert.equal(rows.length, 6);
+  rows.length = 0;
+  add(0, "sensor_live", "frames come");
+  for (const [time, region] of [[1, "heel"], [2, "toe"]]) add(time, "region_above", `region ${region}: force ${time} is above 1 N`);
+  for (const time of [3, 5]) {
+    add(time, "sensor_stale", `no frame for ${time} s`);
+    add(time + 1, "sensor_live", "frames come");
+  }
+  add(7, "region_below", "region heel: force 0.5 is below 0.9 N");
+  assert.deepEqual(of(), [
+    ["region_below", "region heel: force 0.5 is below 0.9 N", 1, 1], ["sensor_live", "frames come", 2, 3],
+    ["region_above", "region toe: force 2 is above 1 N", 1, 2], ["sensor_live", "frames come", 1, 0],
+  ]);
 });
 
 /** Answer each request with the JSON that this makes of its query. */

@@ -34,14 +34,15 @@ def test_a_region_is_drawn_named_measured_and_deleted(rig, url, open_page):
     page.get_by_role("button", name="Ellipse").click()
     drag(page, box, (0.25, 0.25), (0.75, 0.75))
     page.get_by_label("Name").fill("heel")
-    page.get_by_label("Report when it exceeds").select_option("peak")
-    page.get_by_label("above").fill("5")
-    page.get_by_label("until below").fill("4")
+    page.get_by_label("Report when").select_option("peak")
+    page.get_by_label("exceeds").fill("5")
+    assert page.get_by_role("button", name="Cancel").is_visible()
     page.get_by_role("button", name="Save").click()
     page.wait("document.querySelectorAll('#regions tbody tr').length === 1")
     assert page.text("notice")[0].startswith("Drag")  # and no fault came after it
     (region,) = ask("GET", f"{url}/api/v1/sensors/palm/regions").json()["regions"]
     assert (region["name"], region["shape"]) == ("heel", "ellipse")
+    assert region["threshold"] == {"quantity": "peak", "above": 5.0, "below": 4.5}
     pitch, side = rig.sensor.array.pitch, rig.sensor.array.shape[0]
     corners = np.array(region["points_mm"])
     expected = (np.array([0.25, 0.75]) * side - 0.5) * pitch
@@ -58,7 +59,7 @@ def test_a_region_is_drawn_named_measured_and_deleted(rig, url, open_page):
     page.get_by_role("button", name="heel").click()
     page.wait("document.getElementById('region-peak').textContent.endsWith('kPa')")
     link = page.locator("#region-csv").get_attribute("href")
-    assert ask("GET", url + link).text.startswith("time_s,force_N")
+    assert ask("GET", url + link).text.startswith("# sensor: palm\n# region: heel\ntime_s,force_N")
     for size in ({"width": 1280, "height": 860}, PHONE):
         page.resize(**size)
         assert page.violations() == []

@@ -132,7 +132,8 @@ def series(
     """Force, mean, peak and contact area of a region, image by image."""
     kept = watched(sensor, region).series(seconds, points)
     if form == "csv":
-        return Response(_csv(kept), media_type="text/csv")
+        head = f"# sensor: {sensor.name}\n# region: {region}\n"
+        return Response(head + _csv(kept), media_type="text/csv")
     columns = dict(zip(Measures._fields, kept.values.T.tolist(), strict=True))
     lists = {"time": kept.time.tolist(), "missing": kept.missing.tolist()}
     content = Series(unit=kept.unit, **lists, **columns).model_dump_json()

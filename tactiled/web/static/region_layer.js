@@ -8,7 +8,10 @@ import { context2d, fitCanvas } from "./dom.js";
 const TEXT_PX = 12; // CSS px
 const HANDLE_PX = 5; // radius
 
-/** @typedef {{name: string, shape: Shape, points_mm: [number, number][], exceeded: boolean}} Outline */
+/** Of series by slot, as style.css has them for a dark page: maps are dark. */
+const SERIES = ["#56b4e9", "#ff9d5c", "#19a87c", "#e8a0cc", "#e7edf3", "#f0d24c"];
+
+/** @typedef {{name: string, shape: Shape, points_mm: [number, number][], exceeded: boolean, slot?: number}} Outline of a region; `slot` is of its series */
 
 export class RegionLayer {
   /** @param {HTMLElement} frame of the map */
@@ -39,24 +42,25 @@ export class RegionLayer {
     draw.clearRect(0, 0, plane.width * zoom, plane.height * zoom);
     draw.font = `600 ${TEXT_PX}px ${getComputedStyle(document.body).fontFamily}`;
     draw.lineJoin = "round";
-    for (const { name, shape, points_mm, exceeded } of outlines) {
+    for (const { name, shape, points_mm, exceeded, slot } of outlines) {
+      const color = exceeded ? "#ffb454" : SERIES[slot ?? -1] ?? "#fff";
       const points = points_mm.map(([x, y]) => [(x - plane.left) * zoom, (y - plane.top) * zoom]);
       const xs = points.map((each) => each[0]);
       const ys = points.map((each) => each[1]);
       const [left, top, bottom] = [Math.min(...xs), Math.min(...ys), Math.max(...ys)];
       draw.beginPath();
       outline(draw, shape, points, left, top, Math.max(...xs) - left, bottom - top);
-      for (const [width, color] of /** @type {const} */ ([[3.5, "rgb(0 0 0 / 80%)"], [1.5, exceeded ? "#ffb454" : "#fff"]])) {
+      for (const [width, stroke] of /** @type {const} */ ([[3.5, "rgb(0 0 0 / 80%)"], [1.5, color]])) {
         draw.setLineDash(width > 2 ? [] : [6, 3]);
         draw.lineWidth = width;
-        draw.strokeStyle = color;
+        draw.strokeStyle = stroke;
         draw.stroke();
       }
       draw.setLineDash([]);
       if (!name && shape === "polygon") drawHandle(draw, points[0]);
       draw.lineWidth = 3;
       draw.strokeStyle = "rgb(0 0 0 / 80%)";
-      draw.fillStyle = exceeded ? "#ffb454" : "#fff";
+      draw.fillStyle = color;
       const y = Math.min(plane.height * zoom - 4, bottom + TEXT_PX); // labels of contacts are above them
       draw.strokeText(name, Math.max(2, left), y);
       draw.fillText(name, Math.max(2, left), y);

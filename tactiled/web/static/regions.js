@@ -20,6 +20,7 @@ import { FORCE_UNITS, forceNumber, forceText, pressureText, unitOf, unitOfQuanti
 
 const POLL_MS = 250;
 const CHART_POINTS = 600;
+const HYSTERESIS = 0.1; // of the threshold, below which it is over where nobody says otherwise
 const MAX_GAP_S = 1; // between two values that the line joins, as in the service's integrals
 const SHAPES = /** @type {Shape[]} */ (["rectangle", "ellipse", "polygon"]);
 
@@ -48,7 +49,7 @@ export class Regions {
     this._plotting = Promise.resolve();
     /** @type {{shape: Shape, points_mm: [number, number][], name?: string}|null} in the dialog */
     this._chosen = null;
-    for (const shape of SHAPES) byId(`region-${shape}`).addEventListener("click", () => (this._drawing.shape === shape ? this._drawing.end() : this._drawing.start(shape)));
+    for (const shape of SHAPES) byId(`region-${shape}`).addEventListener("click", () => this._toggle(shape));
     byId("region-save").addEventListener("click", () => this._save());
     byId("region-delete").addEventListener("click", (event) => confirmed(/** @type {HTMLButtonElement} */ (event.currentTarget)) && this._act("Not deleted", (name) => api.removeRegion(this._owner, name), true));
     byId("region-reset").addEventListener("click", () => this._act("Not reset", (name) => api.resetRegion(this._owner, name), false));
@@ -57,6 +58,16 @@ export class Regions {
     this._limit.addEventListener("change", () => this._showLimit());
     this._above.addEventListener("input", () => this._above.setCustomValidity(""));
     setInterval(() => this._poll(), POLL_MS);
+  }
+
+  /** Draw a shape on the maps, which come into view, or no longer. @param {Shape} shape */
+  _toggle(shape) {
+    if (this._drawing.shape === shape) {
+      this._drawing.end();
+      return;
+    }
+    window.scrollTo({ top: 0 });
+    this._drawing.start(shape);
   }
 
   /** @returns {string[]} of the regions in the list */
@@ -151,7 +162,9 @@ export class Regions {
     for (const each of SHAPES) byId(`region-${each}`).setAttribute("aria-pressed", String(each === shape));
     setText(byId("region-polygon"), closable ? "Done" : "Polygon");
     const drawn = shape && points.length ? [{ name: "", shape, points_mm: points, exceeded: false }] : [];
-    for (const each of this._layers) each.draw([...this._regions, ...drawn]);
+    const { charted } = this._viewer;
+    const outlines = this._regions.map((each) => ({ ...each, slot: charted?.get(`region ${each.name}`) }));
+    for (const each of this._layers) each.draw([...outlines, ...drawn]);
   }
 
   /** Open the dialog for a new region: what was drawn, or the cell that was clicked. @param {Shape} shape @param {[number, number][]} points */
@@ -179,12 +192,13 @@ export class Regions {
     this._limit.value = region.threshold?.quantity ?? "";
     for (const option of this._limit.options) {
       const quantity = /** @type {Measure|""} */ (option.value);
-      option.textContent = quantity ? `${quantity}, ${unitOfQuantity(quantity, unit)}` : "none";
+      option.textContent = quantity ? `${quantity}, ${unitOfQuantity(quantity, unit)}` : "nothing";
     }
     this._above.value = String(region.threshold?.above ?? "");
     this._below.value = String(region.threshold?.below ?? "");
     byId("region-held").hidden = byId("region-reset").hidden = isNew || this._viewer.session instanceof PlaybackSession;
     byId("region-delete").hidden = isNew;
+    setText(byId("region-close"), isNew ? "Cancel" : "Close");
     this._showLimit();
     this._dialog.showModal();
     if (isNew) this._name.focus();
@@ -194,7 +208,6 @@ export class Regions {
   _showLimit() {
     const quantity = /** @type {Measure|""} */ (this._limit.value);
     byId("region-limits").hidden = !quantity;
-    setText(byId("region-unit"), quantity && unitOfQuantity(quantity, this._viewer.unit));
   }
 
   async _save() {
@@ -207,7 +220,7 @@ export class Regions {
       this._above.reportValidity();
       return;
     }
-    const below = this._below.value ? this._below.valueAsNumber : above;
+    const below = this._below.value ? this._below.valueAsNumber : above - HYSTERESIS * Math.abs(above);
     const threshold = quantity ? { quantity, above, below } : null;
     const { shape, points_mm } = chosen;
     if (chosen.name === undefined && this._regions.some((each) => each.name === name)) {
@@ -244,7 +257,9 @@ export class Regions {
     ];
     ["force", "peak", "impulse", "integral"].forEach((id, i) => setText(byId(`region-${id}`), texts[i]));
     const seconds = Number(this._span.value);
-    /** @type {HTMLAnchorElement} */ (byId("region-csv")).href = api.regionCsv(this._owner, region.name, seconds);
+    const link = /** @type {HTMLAnchorElement} */ (byId("region-csv"));
+    link.href = api.regionCsv(this._owner, region.name, seconds);
+    link.download = `${this._owner}-${region.name}.csv`;
     try {
       const { time, force } = await api.regionSeries(this._owner, region.name, seconds, CHART_POINTS);
       const of = gappedLine(time, force ?? [], MAX_GAP_S + seconds / CHART_POINTS, "restored");
