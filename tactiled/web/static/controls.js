@@ -161,8 +161,7 @@ function save(kind, viewer, targets) {
   const offset = contactsOfFrame?.contacts.length ? timeOffset(contactsOfFrame, frame) : "";
   const origin = provenance(name, frame, statusOfFrame, state + (offset && `, contacts from ${offset}`));
   drawnFiner(PICTURE_RATIO, () => {
-    viewer.layout();
-    viewer.write();
+    viewer.paintMaps(frame, colormap);
     savePng(session, frame, viewer, colormap, origin);
   });
   viewer.layout();

@@ -19,6 +19,7 @@ import { FORCE_SCALES, FORCE_UNITS, UNITS, forceText, unitOf } from "./units.js"
 import { View } from "./view.js";
 
 /** @import { Played, Sensor } from "./api.js" */
+/** @import { Colormap } from "./colormap.js" */
 /** @import { Frame } from "./frame_history.js" */
 /** @import { Axis } from "./geometry.js" */
 /** @import { Marks } from "./overlay.js" */
@@ -154,6 +155,14 @@ export class Viewer {
   /** Paint at once what is shown, for a picture of it. */
   paintNow() {
     this._paint(performance.now());
+    this.write();
+  }
+
+  /** Paint the maps alone as they are now, at another number of pixels. @param {Frame} frame @param {Colormap} colormap */
+  paintMaps(frame, colormap) {
+    this.maps.layout();
+    this.regions?.layout(this.maps.zoom);
+    this.maps.paint(frame, this.range, colormap, this.marks, this.shear, this.view);
     this.write();
   }
 
