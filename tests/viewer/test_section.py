@@ -89,6 +89,7 @@ def test_its_band_is_two_deviations_to_either_side_requested_only_while_it_can_b
         blue = cell[:, 2] > cell[:, 0] + 40  # the restored line and its band
         return abs(blue.sum() - 4 / 10 / (1 + DEEP) * len(blue)) <= 2
 
+    page.evaluate("document.getElementById('section').scrollIntoView()")
     until(fits)
     page.resize(390, 360)
     page.evaluate("window.scrollTo(0, 0)")

@@ -61,8 +61,7 @@ export class Colorbar {
   /** @param {Colormap} colormap */
   _draw(colormap) {
     const { _low: low, _high: high, _width: width, _height: height } = this;
-    this.canvas.setAttribute("aria-label",
-      `Colour scale from ${tickText(low, high - low)} to ${tickText(high, high - low)} ${UNITS[this._unit]}${colormap.signed ? "" : "; beyond its ends cyan is above it, light blue clearly below zero"}`);
+    this.canvas.setAttribute("aria-label", `Colour scale from ${tickText(low, high - low)} to ${tickText(high, high - low)} ${UNITS[this._unit]}`);
     const ratio = fitCanvas(this.canvas, width, height);
     const draw = this._pen;
     const ink = themeColors();

@@ -164,7 +164,7 @@ function save(kind, viewer, targets) {
     viewer.paintMaps(frame, colormap);
     savePng(session, frame, viewer, colormap, origin);
   });
-  viewer.layout();
+  viewer.paintMaps(frame, colormap);
 }
 
 /** Move the pinned probe by cells. @param {Viewer} viewer @param {number} dx @param {number} dy @returns {boolean} one is pinned */
