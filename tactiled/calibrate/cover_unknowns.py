@@ -12,6 +12,9 @@ from tactiled.calibrate.unknowns import APERTURE, CURVATURE, FACTOR, POISSON, PR
 
 MAX_MISFIT = 3.0  # times noise and gain errors: above it nothing that was given explains the presses
 CLEAR = 2.5  # standard deviations from what was given, from which a note says so
+# Of the thickness: a fade exp(-x / b) weakens a wave w by sqrt(1 + (wb)^2), a Gaussian blur by exp((wb)^2 / 2). At
+# w = 2 / thickness, of which covers pass half, they differ by 0.6 % where b is a fifth of the thickness.
+MAX_BLUR = 0.2
 NOTED = 0.25  # of the thickness's variance: what adds as much is named, too
 
 
@@ -51,11 +54,18 @@ def _is_size_unknown(joint: Joint) -> bool:
 def edge_objection(joint: Joint) -> str:
     """Why an edge is none that a thickness can be told by; "" where it is one, or a ridge."""
     is_edge = isinstance(joint.touch, EdgeTouch) and np.isinf(joint.touch.width)
-    if not is_edge or not (joint.freed or joint.misfit > MISFIT):
+    if not is_edge or not (joint.freed or joint.misfit > MISFIT or _is_shape_decisive(joint)):
         return ""
     return (
         "the edge is not sharp, or its pressure is not even: lay a ridge of known width (--edge-mm), or use a tip"
     )
+
+
+def _is_shape_decisive(joint: Joint) -> bool:
+    """Whether an edge is clearly blurred, so widely under its cover that an unknown shape of the blur matters."""
+    depth = joint.touch.family.configured.depth * np.exp(joint.solution.shared[FACTOR])
+    blur = abs(joint.solution.shared[PROFILE]) ** 0.5
+    return bool(blur > MAX_BLUR * depth and joint.differs(PROFILE) > CLEAR)
 
 
 def _percent(change: float) -> str:

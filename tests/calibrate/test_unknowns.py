@@ -1,13 +1,16 @@
 """What a person does not know exactly: its place in the model, in the interval, and in words."""
 
 from dataclasses import replace
+from types import SimpleNamespace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 from scipy.special import j0
 
 from tactiled.calibrate.cover_result import fit_cover
-from tactiled.calibrate.edge import edge_touch
+from tactiled.calibrate.cover_unknowns import edge_objection
+from tactiled.calibrate.edge import EdgeTouch, edge_touch
 from tactiled.calibrate.tip import Tip, tip_touch
 from tactiled.calibrate.touch_response import edge_transform, ridge_transform, tip_transform
 from tactiled.calibrate.unknowns import APERTURE, SHARED, Unknowns
@@ -130,6 +133,23 @@ def test_a_blurred_edge_is_refused_with_what_to_do():
     assert "--edge-mm" in fit.objection or "--tip-mm" in fit.objection
     assert fit.notes[0] == fit.objection
     assert fit.kernel is None
+
+
+@pytest.mark.parametrize(
+    ("square_mm", "depth", "deviations", "refused"),
+    [(0.09, 1.0, 4.0, True), (-0.09, 1.0, 4.0, True), (0.09, 1.0, 2.0, False), (0.09, 2.0, 4.0, False)],
+    ids=["blurred", "hardest at its rim", "not clear", "thick cover"],
+)
+def test_a_pad_whose_blur_is_wide_for_its_cover_is_refused_as_its_shape_is_not_known(
+    square_mm, depth, deviations, refused
+):
+    """Pads that fade by 0.1 to 0.3 mm under t/pitch 0.8 to 1.4 were fitted 6 % too thin, and accepted."""
+    family = SimpleNamespace(configured=SimpleNamespace(depth=depth))
+    touch = Mock(spec=EdgeTouch, width=np.inf, family=family)
+    solution = SimpleNamespace(shared=np.array([0, 0, 0, 0, 0, square_mm]))
+    joint = Mock(touch=touch, freed=(), misfit=1.0, solution=solution)
+    joint.differs.return_value = deviations
+    assert edge_objection(joint).startswith("the edge is not sharp") == refused
 
 
 def test_a_common_bend_of_the_curves_is_named():

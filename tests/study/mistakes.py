@@ -80,6 +80,16 @@ def fading(_, __, random):
     return lambda q: 1 / (1 + 2j * np.pi * q * length)
 
 
+def hard(stack, _, random):
+    rise, width = random.uniform(0.5, 1.5), stack.depth / 3  # pressure 1 + rise exp(-x / width) behind the edge
+
+    def transform(q):
+        wave = 2j * np.pi * q * width
+        return 1 + rise * wave / (1 + wave)
+
+    return transform
+
+
 ROWS = {
     "tip": Row(),
     "tip, aperture 0.6 for 0.8 pitch": Row(aperture=0.6),
@@ -95,6 +105,7 @@ ROWS = {
     "edge, aperture 0.6 for 0.8 pitch": Row("edge", aperture=0.6),
     "edge, soft": Row("edge", soft),
     "edge, fading": Row("edge", fading),
+    "edge, hard plate": Row("edge", hard),
     "edge, curves bend by 5 %": Row("edge", bend=0.05),
     "ridge": Row("ridge"),
     "ridge, width to 0.05 mm": Row("ridge", size_error_mm=0.05),
