@@ -28,7 +28,7 @@ from zipfile import BadZipFile
 
 from tactiled.client import results
 from tactiled.client.results import Answer, Contact, Contacts, Event, Recording, Region, Window
-from tactiled.client.stream import ANSWER_S, Image, Service, Stream, aread, describe, read
+from tactiled.client.stream import ANSWER_S, Image, Measuring, Service, Stream, aread, describe, read
 from tactiled.errors import ConfigError, LoadedError, TactileError
 from tactiled.files import whole_file
 from tactiled.wire import Kind
@@ -141,7 +141,7 @@ class Client:
         for ever), or if the service refuses; after one stream too many, of this client (4429) or of all (4503), it
         waits for a place. The log has once what it waits for.
         """
-        images = read(Stream(self._service, sensor, rate_hz, patience_s, shear))
+        images = read(Stream(self._service, sensor, rate_hz, patience_s, shear), self._measuring())
         _STREAMS.add(images)
         return images
 
@@ -153,7 +153,26 @@ class Client:
         shear: bool | str | Sequence[str] = False,
     ) -> AsyncGenerator[Image, None]:
         """The same as `stream`, for asyncio."""
-        return aread(Stream(self._service, sensor, rate_hz, patience_s, shear))
+        return aread(Stream(self._service, sensor, rate_hz, patience_s, shear), self._measuring())
+
+    def _measuring(self) -> Measuring:
+        """Gives an image its total force; the first of a shape waits for the sensor's geometry."""
+        geometries: dict[object, Any] = {}
+
+        def known(image: Image) -> bool:
+            return (image.sensor, image.restored.shape) in geometries
+
+        def measured(image: Image) -> Image:
+            if not known(image):
+                try:
+                    geometry = self._request("GET", f"/sensors/{_quoted(image.sensor)}/geometry")
+                except TactileError:
+                    return image
+                geometries[image.sensor, image.restored.shape] = geometry
+            geometry = geometries[image.sensor, image.restored.shape]
+            return replace(image, force=self._read(lambda: results.total_force(image, geometry)))
+
+        return Measuring(known, measured)
 
     def metrics(self) -> str:
         """Health, counts and times, in Prometheus's text format."""
@@ -164,11 +183,8 @@ class Client:
 
         Before the first frame it waits for one, for `patience_s`, then TactileError.
         """
-        path = f"/sensors/{_quoted(sensor)}/geometry"
         with closing(self.stream(sensor, 0.0, patience_s, shear)) as images:
-            image = next(images)
-        geometry = self._request("GET", path)
-        return replace(image, force=self._read(lambda: results.total_force(image, geometry)))
+            return next(images)
 
     def window(self, sensor: str, seconds: float, kind: Kind = "restored") -> Window:
         """The images of the last `seconds` before the newest one, as many as the service still has."""

@@ -16,6 +16,7 @@ from tactiled.units import FORCE_SCALES, ForceUnit, Unit
 from tactiled.wire import Kind
 
 Answer = tuple[bytes, HTTPMessage]  # content and headers
+MAX_UNKNOWN = 0.2  # of an image's cells, with more of which its force is unknown
 ARRAYS = "sequence", "time", "method", "flags", "values"  # of a window
 
 
@@ -143,9 +144,11 @@ def parse(kind: Any, data: Any) -> Any:
 
 
 def total_force(image: Image, geometry: Mapping[str, Any]) -> float:
-    """The sum of a restored image times the areas of its cells, N or counts mm2."""
+    """The sum of a restored image times the areas of its cells, N or counts mm2; NaN where too few are known."""
     areas_mm2 = geometry["areas_mm2"] or geometry["restored"]["cell_mm"] ** 2
-    return float(np.sum(image.restored * areas_mm2)) * FORCE_SCALES[image.unit]
+    if np.isnan(image.restored).mean() > MAX_UNKNOWN:
+        return np.nan
+    return float(np.nansum(image.restored * areas_mm2)) * FORCE_SCALES[image.unit]
 
 
 def parse_window(sensor: str, kind: Kind, pages: Sequence[Answer]) -> Window:

@@ -6,10 +6,10 @@ import logging
 import math
 import ssl
 import time
-from collections.abc import AsyncGenerator, Generator, Iterable, Sequence
+from collections.abc import AsyncGenerator, Callable, Generator, Iterable, Sequence
 from dataclasses import dataclass
 from numbers import Real
-from typing import Any
+from typing import Any, NamedTuple
 from urllib.error import URLError
 from urllib.parse import urlencode
 
@@ -57,7 +57,7 @@ class Image:
     shear: NDArray[np.float32] | None = None  # counts along x and y, (2, rows, columns); NaN: unknown
     noise: float = math.nan  # as noise_kpa, in `unit`
     unit: Unit = PRESSURE  # of pressures: counts where the sensor is uncalibrated
-    force: float = math.nan  # total of `restored`, N or counts mm2; NaN in a stream
+    force: float = math.nan  # total of `restored`, N or counts mm2; NaN where too little is known
 
     def _repr_html_(self) -> str:
         """Show it in a notebook."""
@@ -273,7 +273,14 @@ class Stream:
             LOG.warning("%s at %s: %s", self._title, self._url, text)
 
 
-def read(stream: Stream) -> Generator[Image, None, None]:
+class Measuring(NamedTuple):
+    """Adds to an image what the service measures in it."""
+
+    known: Callable[[Image], bool]  # whether that takes no request
+    measured: Callable[[Image], Image]
+
+
+def read(stream: Stream, measuring: Measuring) -> Generator[Image, None, None]:
     """The images of a stream."""
     stream.ask()
     while True:
@@ -287,13 +294,13 @@ def read(stream: Stream) -> Generator[Image, None, None]:
                         stream.take(socket.recv(timeout=stream.wait_s()))
                     except TimeoutError:
                         if (image := stream.inbox.pop()) is not None:
-                            yield image
+                            yield measuring.measured(image)
                             stream.ask()
         except CONNECTION_ERRORS as error:
             time.sleep(stream.failed(error))
 
 
-async def aread(stream: Stream) -> AsyncGenerator[Image, None]:
+async def aread(stream: Stream, measuring: Measuring) -> AsyncGenerator[Image, None]:
     """The images of a stream, for asyncio."""
     stream.ask()
     while True:
@@ -309,7 +316,10 @@ async def aread(stream: Stream) -> AsyncGenerator[Image, None]:
                         stream.take(data)
                     except TimeoutError:
                         if (image := stream.inbox.pop()) is not None:
-                            yield image
+                            if measuring.known(image):
+                                yield measuring.measured(image)
+                            else:
+                                yield await asyncio.to_thread(measuring.measured, image)
                             stream.ask()
         except CONNECTION_ERRORS as error:
             await asyncio.sleep(stream.failed(error))

@@ -22,6 +22,7 @@ from pydantic import (
     model_validator,
 )
 
+from tactiled import bounds
 from tactiled.bounds import Bounds, Counts, Endpoint, FileBeside, FrameId, Key, Name, Pitch, Place, Port, Prefix
 from tactiled.bus import skins
 from tactiled.bus.codec import Skin
@@ -31,8 +32,6 @@ from tactiled.units import FORCE, LENGTH, PRESSURE, STIFFNESS
 
 Quaternion: TypeAlias = tuple[float, float, float, float]
 NORM_TOLERANCE = 10e-3  # of the squared norm of a quaternion, as tf2's buffer_core.cpp has it
-
-
 EVERY_ADDRESS = frozenset({"", "0.0.0.0", "::"})
 LOOPBACK = frozenset({"localhost", "127.0.0.1", "::1"})
 TOKEN = re.compile(r"[A-Za-z0-9!$'()*./:<=>?@\[\]^_`{|}~-]*")  # header, cookie and address carry these unchanged
@@ -61,6 +60,8 @@ class Server(Section):
     """Secret that a client shows to see images."""
     control_token: Token | None = None
     """Secret that a client shows to see images and to change anything."""
+    allowed_origins: bounds.Origins = ()
+    """Pages of other sites that may use the service, such as `["https://app.example"]`; they show a token."""
     tls_certificate: Path | None = None
     """PEM file of the certificate; belongs with `tls_key`."""
     tls_key: Path | None = None
@@ -99,8 +100,9 @@ class Server(Section):
             raise ValueError(
                 "other machines could reach it: give control_token, a secret of 16 characters or more"
             )
-        if self.read_token is not None and self.control_token is None:
-            raise ValueError("read_token without control_token: anyone could control it: give both")
+        for key in ("read_token", "allowed_origins"):
+            if getattr(self, key) and self.control_token is None:
+                raise ValueError(f"{key} without control_token: anyone could control it: give both")
         if (self.tls_certificate is None) != (self.tls_key is None):
             raise ValueError("tls_certificate and tls_key: give both or neither")
         if self.xela is None and "xela_host" in self.model_fields_set:

@@ -5,6 +5,7 @@ import ssl
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +15,7 @@ from websockets.frames import Close
 
 from tactiled.client import connect
 from tactiled.client import stream as module
+from tactiled.client.results import total_force
 from tactiled.client.stream import Inbox, Service, Stream
 from tactiled.config import Server
 from tactiled.errors import TactileError
@@ -51,6 +53,11 @@ def test_images_are_arrays_in_order_with_the_status(playing, url):
             break
     assert image.raw.shape == image.restored.shape == image.flags.shape == (8, 8)
     assert np.isfinite(image.restored).all()
+    assert image.force == pytest.approx(1e-3 * image.restored.sum(), rel=1e-6)  # cells of 1 mm2, kPa
+    other = run_apart(afirst(url))
+    assert other.force == pytest.approx(1e-3 * other.restored.sum(), rel=1e-6)
+    holes = replace(image, restored=np.where(np.arange(64).reshape(8, 8) < 16, np.nan, image.restored))
+    assert math.isnan(total_force(holes, {"areas_mm2": None, "restored": {"cell_mm": 1.0}}))
     sequences = [each.sequence for each in images]
     assert sequences == sorted(set(sequences))
     assert (image.status["sensor"], image.status["state"], image.status["method"]) == ("palm", "live", "wiener")

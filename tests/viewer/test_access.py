@@ -1,12 +1,19 @@
 """axe-core finds nothing in the page, whatever is open, in either theme, at either size; the keyboard does all."""
 
+import re
+from contextlib import ExitStack, closing
+from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from threading import Thread
+
 import pytest
 
 from tactiled.config import Server
 from tactiled.web.server import running
 from tests.conftest import CONTROL, READ, TOKENS, pressed
-from tests.viewer.conftest import COLOUR_RULES, LEVELS, LIVE, PAUSED, TILES
+from tests.viewer.conftest import COLOUR_RULES, LEVELS, LIVE, PAINTINGS, PAUSED, TILES
 
+GUIDE = Path(__file__).parents[2] / "tactiled/docs/streams.md"
 READY = f"{TILES}.length === 2"
 TOKEN_OPEN = "document.getElementById('token').open"
 FOCUSED = "document.activeElement.id"
@@ -100,3 +107,56 @@ def test_every_control_is_reached_by_the_tab_key_and_shows_that_it_has_the_focus
             break
     assert page.evaluate(UNREACHED) == []
     assert page.evaluate("document.querySelectorAll('[data-reached=true]').length") >= controls
+
+
+class Elsewhere(SimpleHTTPRequestHandler):
+    """An empty page at any path."""
+
+    def do_GET(self):
+        self.send_response(200)
+        self.send_header("Content-Type", "text/html")
+        self.end_headers()
+
+    def log_message(self, *_):
+        """Nothing."""
+
+
+@pytest.fixture
+def elsewhere():
+    """Addresses of pages of two other sites."""
+    with ExitStack() as stack:
+        servers = [stack.enter_context(ThreadingHTTPServer(("127.0.0.1", 0), Elsewhere)) for _ in range(2)]
+        for each in servers:
+            Thread(target=each.serve_forever, daemon=True).start()
+            stack.callback(each.shutdown)
+        yield [f"http://localhost:{each.server_port}" for each in servers]
+
+
+def test_a_person_types_the_token_and_a_page_of_an_allowed_site_streams(rig, browser, open_page, elsewhere):
+    rig.show(pressed())
+    (code,) = re.findall(r"```javascript\n(.*?)```", GUIDE.read_text(), re.DOTALL)
+    at = Server(port=0, allowed_origins=(elsewhere[0],), **TOKENS)
+    with running(rig.service, at) as url, rig.playing(20):
+        page = open_page(url, ready="document.activeElement.id === 'token'")
+        page.inspect()
+        page.keyboard.type("no" * 8)
+        page.press("Enter")
+        page.get_by_text("This token is unknown").wait_for()
+        page.keyboard.type(READ)
+        page.press("Enter")
+        page.locator("#maps").wait_for()
+        page.wait(f"{PAINTINGS} > 0")
+        assert READ not in page.url
+        code = code.replace("127.0.0.1:8000", url.removeprefix("http://")).replace("TOKEN", READ)
+        show = f"{{headers: {{Authorization: 'Bearer {READ}'}}}}"
+        fetched = f"fetch('{url}/api/v1/health', {show}).then(({{ status }}) => status).catch(() => 0)"
+        allowed, refused = (browser.new_page() for _ in elsewhere)
+        with closing(allowed), closing(refused):
+            allowed.goto(elsewhere[0])
+            refused.goto(elsewhere[1])
+            with allowed.expect_console_message(lambda entry: re.fullmatch(r"\d+ 8 8 [\d.]+ kPa", entry.text)):
+                allowed.evaluate(f"() => {{{code}}}")
+            with refused.expect_console_message(lambda entry: entry.text.startswith("4403 Origin: ")):
+                refused.evaluate(f"() => {{{code}}}")
+            assert (allowed.evaluate(fetched), refused.evaluate(fetched)) == (200, 0)
+        page.finish("401")

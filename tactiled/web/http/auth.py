@@ -17,7 +17,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from tactiled.config import Server
 from tactiled.config.schema import LOOPBACK
 from tactiled.interop.signatures import SAFE_METHODS
-from tactiled.web.http import problems
+from tactiled.web.http import problems, sign_in
 from tactiled.web.http.body import Body, HeldBodies
 from tactiled.web.http.headers import HEADERS, STRICT_TRANSPORT_SECURITY
 from tactiled.web.http.limits import ConcurrencyLimit, RateLimit
@@ -32,6 +32,12 @@ LOOPBACK_HOST = re.compile(
     rf"(?:{'|'.join(map(re.escape, sorted(LOOPBACK - {'::1'})))}|\[::1\])(?::[0-9]{{1,5}})?", re.IGNORECASE
 )
 HOW = "Authorization: Bearer TOKEN, or open /?token=TOKEN in a browser"
+PREFLIGHT = {
+    "Access-Control-Allow-Methods": "GET, POST, PUT, PATCH, DELETE",
+    "Access-Control-Allow-Headers": "Authorization, Content-Type, Accept, If-None-Match, Range",
+    "Access-Control-Allow-Private-Network": "true",
+    "Access-Control-Max-Age": "600",
+}
 UNAUTHORIZED = f"a token is needed: {HOW}"
 UNKNOWN = f"this token is unknown: show the read_token or the control_token: {HOW}"
 READ_ONLY = "this token reads only: show the control token to change anything"
@@ -101,7 +107,10 @@ class _Answer:
             self.started = True
             headers = MutableHeaders(scope=message)
             for name, value in self._headers.items():
-                headers.setdefault(name, value)
+                if name == "Vary":
+                    headers.add_vary_header(value)
+                else:
+                    headers.setdefault(name, value)
             if not self._body.complete:  # the rest is not waited for
                 headers["Connection"] = "close"
         await self._send(message)
@@ -129,7 +138,10 @@ class AccessControl:
     async def _request(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answer a request once its body is in."""
         body = Body(scope, receive, self._bodies)
-        answer = _Answer(scope, receive, send, body, self._headers)
+        origin = self._allowed_origin(Headers(scope=scope))
+        cross = {"Access-Control-Allow-Origin": origin, "Access-Control-Expose-Headers": "*"} if origin else {}
+        vary = {"Vary": "Origin"} if self._server.allowed_origins else {}
+        answer = _Answer(scope, receive, send, body, self._headers | cross | vary)
         try:
             app = self._route(scope)
             await app(scope, await body.receiver(), answer)
@@ -159,13 +171,42 @@ class AccessControl:
 
     def _route(self, scope: Scope) -> ASGIApp:
         """The application that answers a request; Problem where it is refused."""
-        self._authorize(scope)
+        if self._is_preflight(scope):
+            return Response(status_code=204, headers=PREFLIGHT)
+        if self._tokens.required and sign_in.is_sent(scope):
+            self._check_origin(scope, Headers(scope=scope))
+            self._rates.count(scope)
+            return self._sign_in
+        try:
+            self._authorize(scope)
+        except Problem as error:
+            if error.status_code != 401 or not sign_in.is_wanted(scope):
+                raise
+            return sign_in.page(scope["path"], unknown=error.detail == UNKNOWN)
         if scope["method"] not in SAFE_METHODS:
             self._rates.count(scope)
         token = QueryParams(scope["query_string"]).get("token", "")
         if scope["path"] == "/" and self._tokens.rights(token):
-            return self._set_cookie(cookie_name(Headers(scope=scope)), token)
+            return self._set_cookie(scope, token)
         return self._app
+
+    async def _sign_in(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Take the token of the page that asks for one."""
+        token = await sign_in.token(receive)
+        known = bool(self._tokens.rights(token))
+        answer = self._set_cookie(scope, token) if known else sign_in.page(scope["path"], unknown=True)
+        await answer(scope, receive, send)
+
+    def _allowed_origin(self, headers: Headers) -> str:
+        """The origin of the page that makes a request, where the configuration allows it; else ""."""
+        origin = headers.get("origin", "")
+        return origin if origin in self._server.allowed_origins else ""
+
+    def _is_preflight(self, scope: Scope) -> bool:
+        """Whether a browser asks for a page of an allowed origin what it may request; that bears no token."""
+        headers = Headers(scope=scope)
+        asks = scope["method"] == "OPTIONS" and "access-control-request-method" in headers
+        return asks and bool(self._allowed_origin(headers))
 
     def _authorize(self, scope: Scope) -> None:
         """Problem 401 or 403 where a request may not be made."""
@@ -185,6 +226,8 @@ class AccessControl:
         if rebinding and (len(hosts) != 1 or not LOOPBACK_HOST.fullmatch(host)):
             raise Problem(403, f"Host: {host:.80}: this service answers to localhost only")
         origin = headers.get("origin")
+        if self._allowed_origin(headers):
+            return
         if origin is not None and origin not in (f"http://{host}", f"https://{host}"):
             raise Problem(403, f"Origin: {origin:.80}: pages of another site may not use this service")
         site = headers.get("sec-fetch-site", "none")
@@ -192,9 +235,10 @@ class AccessControl:
         if site not in ("none", "same-origin") and not link:
             raise Problem(403, f"Sec-Fetch-Site: {site:.80}: pages of another site may not use this service")
 
-    def _set_cookie(self, name: str, token: str) -> Response:
+    def _set_cookie(self, scope: Scope, token: str) -> Response:
         """Keep a token in a cookie that no script can read, and out of the address."""
-        response = Response(status_code=303, headers={"Location": "/", "Cache-Control": "no-store"})
+        name = cookie_name(Headers(scope=scope))
+        response = Response(status_code=303, headers={"Location": scope["path"], "Cache-Control": "no-store"})
         secure = "; Secure" if self._server.tls_certificate else ""
         response.headers["Set-Cookie"] = f"{name}={token}{COOKIE_ATTRIBUTES}{secure}"
         return response

@@ -33,7 +33,7 @@ class Override(schemas.Schema):
 class Config(schemas.Schema):
     """The configuration as read, with every default, and what clients changed since."""
 
-    server: dict[str, bool | int | float | str | None] = Field(
+    server: dict[str, bool | int | float | str | tuple[str, ...] | None] = Field(
         description="of tokens, certificate, folder and state only whether they are there",
         examples=[{"host": "127.0.0.1", "port": 8000, "control_token": False, "recordings": True}],
     )

@@ -215,3 +215,71 @@ def test_a_browser_keeps_to_tls_except_on_loopback(rig, tmp_path, host):
             assert answer.headers["set-cookie"].endswith("; Secure") == bool(tls)
             transport = answer.headers.get("strict-transport-security")
             assert transport == ("max-age=31536000" if tls and host == "0.0.0.0" else None)
+
+
+PAGE = "https://app.example:8443"
+
+
+def test_pages_of_allowed_origins_use_the_service_with_a_token_and_no_others_do(rig):
+    """Requests, streams, and what a browser asks before."""
+    rig.show(pressed())
+    allowed = Server(port=0, allowed_origins=(PAGE,), **TOKENS)
+    cross = {"Origin": PAGE, "Sec-Fetch-Site": "cross-site", "Sec-Fetch-Mode": "cors"}
+    asked = cross | {"Access-Control-Request-Method": "PUT", "Access-Control-Request-Headers": "authorization"}
+    with running(rig.service, allowed) as url, httpx.Client(**HTTP, base_url=url) as client:
+        before = client.options(METHOD, headers=asked)
+        assert (before.status_code, before.headers["access-control-allow-origin"]) == (204, PAGE)
+        assert "PUT" in before.headers["access-control-allow-methods"]
+        assert "Authorization" in before.headers["access-control-allow-headers"]
+        answer = client.get("/api/v1/sensors/palm/frames/raw", headers=cross | bearer(READ))
+        assert (answer.status_code, answer.headers["access-control-allow-origin"]) == (200, PAGE)
+        assert {each.strip() for each in answer.headers["vary"].split(",")} == {"Accept", "Origin"}
+        assert client.put(METHOD, headers=cross | bearer(CONTROL), json=RAW).status_code == 200
+        assert client.get("/api/v1/config", headers=bearer(READ)).json()["server"]["allowed_origins"] == [PAGE]
+        problem(client.put(METHOD, headers=cross | bearer(READ), json=RAW), 403)
+        assert problem(client.get(METHOD, headers=cross), 401).startswith("a token is needed")
+        for origin in ("https://app.example", "http://app.example:8443", "null"):
+            refused = client.get(METHOD, headers=cross | bearer(CONTROL) | {"Origin": origin})
+            assert "access-control-allow-origin" not in refused.headers
+            problem(refused, 403)
+            problem(client.options(METHOD, headers=asked | {"Origin": origin}), 403)
+        for query, code in ((f"?token={READ}", None), ("", 4401)):
+            with connect(websocket_url(url, f"/api/v1/stream{query}"), additional_headers=cross) as stream:
+                assert stream.recv(timeout=BUSY_S) if code is None else closed(stream)[0] == code
+
+
+@pytest.mark.parametrize("origin", ["app.example", "https://app.example/", "*", "null", "https://App.example"])
+def test_what_is_no_origin_is_refused_by_name(origin):
+    with pytest.raises(ValidationError, match=r"allowed_origins.0[^']*give a page's origin"):
+        Server(allowed_origins=[origin], **TOKENS)
+
+
+def test_pages_of_other_sites_need_a_token():
+    with pytest.raises(ValidationError, match="allowed_origins without control_token"):
+        Server(allowed_origins=[PAGE])
+
+
+HTML = {"Accept": "text/html,application/xhtml+xml"}
+FORM = {"Content-Type": "application/x-www-form-urlencoded"}
+
+
+def test_a_browser_without_a_token_gets_a_form_and_a_program_an_error(guarded, caplog):
+    for path in ("/", "/docs"):
+        page = ask("GET", guarded + path, headers=HTML)
+        assert (page.status_code, page.headers["content-type"]) == (401, "text/html; charset=utf-8")
+        assert 'type="password" autocomplete="current-password"' in page.text
+        assert f'method="post" action="{path}"' in page.text
+        assert "form-action 'self'" in page.headers["content-security-policy"]
+        assert page.headers["referrer-policy"] == "same-origin"
+        own = FORM | {"Origin": guarded}
+        wrong = ask("POST", guarded + path, headers=own, data={"token": "no" * 8})
+        assert (wrong.status_code, "This token is unknown" in wrong.text) == (401, True)
+        assert "set-cookie" not in wrong.headers
+        right = ask("POST", guarded + path, headers=own, data={"username": "tactiled", "token": READ})
+        assert (right.status_code, right.headers["location"]) == (303, path)
+        assert READ in right.headers["set-cookie"]
+        problem(ask("POST", guarded + path, headers=own | {"Origin": "null"}, data={"token": READ}), 403)
+    assert "This token is unknown" in ask("GET", f"{guarded}/?token={'x' * 16}", headers=HTML).text
+    problem(ask("GET", guarded + "/api/v1/health", headers=HTML), 401)
+    problem(ask("POST", guarded + METHOD, headers=own, data={"token": READ}), 401)
+    assert READ not in caplog.text
