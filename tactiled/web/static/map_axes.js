@@ -44,7 +44,7 @@ export function drawAxes(draw, plane, zoom, left, top, ink) {
     draw.fillText(text, left - TICK_PX - 2, Math.max(y, top + HALF_TEXT_PX));
   }
   draw.textBaseline = "top";
-  draw.fillText("mm", left - TICK_PX - 2, bottom + TICK_PX + 2);
+  draw.fillText("mm", left - TICK_PX - 4, bottom + TICK_PX + 2);
   draw.stroke();
   draw.textAlign = "left";
   draw.textBaseline = "alphabetic";
