@@ -13,7 +13,7 @@ from tactiled.threads import join_started
 
 LOOK_EVERY_S = 0.1
 WARNING_STAYS_S = 5.0  # after it last appeared, so that one that comes and goes is one event
-QUIET = "cut_short"  # the image is right, only less sharp: no event before it lasts
+QUIET = {"cut_short", "noise_unknown"}  # a little less sharp, or just begun: no event before it lasts
 LASTS_S, GAP_S = 10.0, 1.0  # without a gap as long as this
 MAX_TAXELS_NAMED = 8  # in an event
 STATE_EVENTS: dict[State, Kind] = {
@@ -36,7 +36,9 @@ class Watch:
         self._values: dict[tuple[str, str], Hashable] = {}  # by what and whose, at the last look
         self._silent_since: dict[str, float] = {}  # s, by sensors of which no frame has come
         self._raised: dict[tuple[str, str], tuple[FrameWarning, float]] = {}  # by sensor and code; when, s
-        self._quiet: dict[str, tuple[float, float]] = {}  # s, since when and until when QUIET was reported
+        self._quiet: dict[
+            tuple[str, str], tuple[float, float]
+        ] = {}  # s, since when and until when one was reported
         self.turns = 0  # looks so far
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="watch", daemon=True)
@@ -113,7 +115,7 @@ class Watch:
 
     def _look_at_warnings(self, sensor: Sensor, now: float) -> None:
         for code, warning in sensor.drain_warnings().items():
-            if code == QUIET and not self._lasts(sensor.name, now):
+            if code in QUIET and not self._lasts((sensor.name, code), now):
                 continue
             if (sensor.name, code) not in self._raised:
                 self._events.add("warning_raised", warning.text, sensor.name, warning=warning)
@@ -125,11 +127,11 @@ class Watch:
                 del self._raised[name, code]
                 self._events.add("warning_cleared", f"no longer: {warning.text}", name, warning=warning)
 
-    def _lasts(self, sensor: str, now: float) -> bool:
-        """Whether what is reported `now` (s) was so for LASTS_S."""
-        since, until = self._quiet.get(sensor, (now, now))
+    def _lasts(self, reported: tuple[str, str], now: float) -> bool:
+        """Whether what is reported `now` (s), of a sensor by its code, was so for LASTS_S."""
+        since, until = self._quiet.get(reported, (now, now))
         since = since if now - until < GAP_S else now
-        self._quiet[sensor] = since, now
+        self._quiet[reported] = since, now
         return now - since >= LASTS_S
 
     def _look_at_tare(self, sensor: Sensor) -> None:

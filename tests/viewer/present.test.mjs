@@ -74,6 +74,8 @@ test("a warning stays five seconds after it was last reported, with its newest t
   const counts = Array.from({ length: 12 }, (_, i) => cut(10_000 + 1000 * i)); // it lasts ten seconds
   assert.deepEqual(counts, [0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 1, 1]);
   assert.equal(cut(30_000), 0); // and begins again after a gap
+  const early = [{ code: "noise_unknown", text: "early", taxels: null }];
+  assert.deepEqual(warnings.hold(early, 30_100), []); // by itself
 });
 
 test("what belongs to some frames is shown with the nearest one, within a limit and with the offset", () => {

@@ -5,7 +5,7 @@ import { element, setText } from "./dom.js";
 /** @import { Warning } from "./api.js" */
 
 const STAYS_MS = 5000; // after it was last reported, as the service's events have it
-const QUIET = "cut_short"; // the image is right, only less sharp: no warning before it lasts, as in the service's events
+const QUIET = new Set(["cut_short", "noise_unknown"]); // a little less sharp, or just begun: no warning before it lasts, as in the service's events
 const LASTS_MS = 10_000;
 const GAP_MS = 1500; // longer than from status to status
 
@@ -13,13 +13,13 @@ export class Warnings {
   constructor() {
     /** @type {Map<string, {text: string, at: number}>} by code */
     this._recent = new Map();
-    this._quietSince = NaN; // ms
-    this._quietAt = NaN;
+    /** @type {Map<string, {since: number, at: number}>} ms, by code: since when and until when one was reported */
+    this._quiet = new Map();
   }
 
   clear() {
     this._recent.clear();
-    this._quietSince = this._quietAt = NaN;
+    this._quiet.clear();
   }
 
   /**
@@ -28,16 +28,17 @@ export class Warnings {
    * @returns {string[]} texts of these and of those reported shortly before
    */
   hold(warnings, now) {
-    for (const { code, text } of warnings) if (code !== QUIET || this._lasts(now)) this._recent.set(code, { text, at: now });
+    for (const { code, text } of warnings) if (!QUIET.has(code) || this._lasts(code, now)) this._recent.set(code, { text, at: now });
     for (const [code, { at }] of this._recent) if (now - at > STAYS_MS) this._recent.delete(code);
     return [...this._recent.values()].map((each) => each.text);
   }
 
-  /** @param {number} now ms @returns {boolean} what is reported now was so for long */
-  _lasts(now) {
-    if (!(now - this._quietAt < GAP_MS)) this._quietSince = now;
-    this._quietAt = now;
-    return now - this._quietSince >= LASTS_MS;
+  /** @param {string} code @param {number} now ms @returns {boolean} what is reported now was so for long */
+  _lasts(code, now) {
+    const before = this._quiet.get(code);
+    const since = before && now - before.at < GAP_MS ? before.since : now;
+    this._quiet.set(code, { since, at: now });
+    return now - since >= LASTS_MS;
   }
 }
 
