@@ -20,6 +20,7 @@ ARRAY = grid(16, 16, 2.0)
 WIDTH_MM = 1.5  # of the contact: its force is the sum of what the taxels bear, to 1e-4
 PEAK_N = 0.95e-3 * FULL_KPA * 2 * np.pi * WIDTH_MM**2
 SPAN_MM = 30.0
+LOAD_N = 0.1 * np.pi  # 100 kPa on a disc of 1 mm radius
 HOLD = np.repeat([0.0, 1.0, 0.0], (50, 300, 200))[:, None]
 FINE, COARSE = np.mgrid[0:13, 0:13] * 1.5, np.mgrid[7:14, -1:8] * 3.0
 UNEVEN = layout(np.concatenate([FINE.reshape(2, -1).T, COARSE.reshape(2, -1).T]))
@@ -111,15 +112,32 @@ def test_taxels_that_always_read_their_ceiling_are_dead_and_refuse_no_weight():
     assert fit.dead == (15, 250)
 
 
-def weighed(array, places, reach=None, spread=0.0, thickness=2.5):
-    """A weight of 0.3 N laid at places (mm from the middle) of an array under rubber of `thickness` pitches."""
+def laid(array, places, spread=0.0, thickness=2.5):
+    """Frames of a load of 0.3 N at places (mm from the middle) of an array under rubber of `thickness` pitches.
+
+    With them the share of a load over each taxel that is sensed.
+    """
     stack = Stack((Layer(thickness, 0.6, 0.48), Layer(1.0, 980.0, 0.3)))
     skin = simulated_skin(stack, array, np.random.default_rng(5), noise_kpa=0.5, spread=spread)
     loads = [100 * Disc(*place, 1.0).readings(array, skin.cover) for place in places]
     kpa = np.concatenate([np.zeros((200, array.size)), *(each * HOLD for each in loads)])
-    reach = reach_of(make_blur(skin.cover, array, 1), array) if reach else None
-    series = skin.series(kpa, np.arange(len(kpa)) / RATE_HZ, np.random.default_rng(6))
-    return fit_weight(series, 0.1 * np.pi, array, Rails(0, 65535), reach)
+    reach = reach_of(make_blur(skin.cover, array, 1), array)
+    return skin.series(kpa, np.arange(len(kpa)) / RATE_HZ, np.random.default_rng(6)), reach
+
+
+def weighed(array, places, reach=None, spread=0.0, thickness=2.5):
+    series, known = laid(array, places, spread, thickness)
+    return fit_weight(series, LOAD_N, array, Rails(0, 65535), known if reach else None)
+
+
+def test_a_force_log_under_a_thick_cover_counts_what_is_beyond_the_array():
+    """A gain from what is sensed alone is 4.4 % off."""
+    array, places = grid(16, 16, 1.0, 0.8), np.random.default_rng(3).uniform(-2, 2, (6, 2))
+    series, reach = laid(array, places)
+    force = LOAD_N * np.concatenate([np.zeros(200), np.tile(HOLD[:, 0], len(places))])
+    fit = fit_force(series, log(series, force), array, Rails(0, 65535), reach)
+    assert fit.curves.gain[0] == pytest.approx(KPA_PER_COUNT, rel=0.015)
+    assert any("of a load is beyond the array" in each for each in fit.notes)
 
 
 def test_what_the_cover_spreads_beyond_the_array_is_taken_into_account():
