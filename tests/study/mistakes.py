@@ -43,6 +43,7 @@ class Row:
     believed_poisson: float | None = None
     size_error_mm: float = CALIPER_ERROR_MM
     size_factor: float = 1.0  # believed over true, or its inverse
+    is_measured: bool = True  # the tip's diameter
     bend: float = 0.0  # of all taxels' curves at study.PEAK_KPA
 
 
@@ -96,6 +97,9 @@ ROWS = {
     "tip, aperture 0.8 for 1 pitch": Row(believed_aperture=1.0),
     "tip, diameter 10 % wrong": Row(size_factor=1.1),
     "tip, rigid": Row(pressed=lambda stack, size, _: rigid.tip_transform(stack, size / 2)),
+    "tip, rigid, of unknown diameter": Row(
+        pressed=lambda stack, size, _: rigid.tip_transform(stack, size / 2), is_measured=False
+    ),
     "tip, pressed at its rim as on a half-space": Row(pressed=rim),
     "tip, worn to a cone": Row(pressed=cone),
     "tip, Poisson's ratio 0.4 for 0.48": Row(poisson=0.4, believed_poisson=0.48),
@@ -196,7 +200,7 @@ def trial(row, seed, number):
     gain_error, factor = gains.for_touch[2], row.size_factor ** random.choice([-1, 1])
     measured = float(random.normal(size * factor, row.size_error_mm))
     if row.way in ("tip", "ball"):
-        tip = Tip(measured) if row.way == "tip" else Tip(sphere=True)
+        tip = Tip(measured) if row.way == "tip" and row.is_measured else Tip(sphere=row.way == "ball")
         return fit_cover(
             tip_touch(presses, array, truth.configured, tip, gain_error), presses, "tip"
         ), truth.factor
