@@ -122,7 +122,7 @@ def test_a_cover_is_fitted_to_presses_after_the_token_was_given_and_discarded(ri
     with running(rig.service, Server(port=0, **TOKENS)) as url:
         page = open_page(f"{url}/?token={READ}")
         page.get_by_role("button", name="Calibrate").click()
-        page.get_by_role("button", name="Cover").click()
+        page.get_by_role("button", name="Cover thickness").click()
         page.get_by_label("Diameter of its flat end").fill(str(TIP_MM))
         page.get_by_role("button", name="Start").click()
         page.wait("document.activeElement.id === 'token-field'")
