@@ -60,8 +60,7 @@ def config(request: Request, service: CurrentService) -> Config:
 async def reload(request: Request, service: CurrentService) -> Reload:
     """Read the configuration file again: only what changed restarts, and a wrong file changes nothing.
 
-    The answer comes when the kernels of new and changed sensors are solved and everything runs. A sensor also
-    restarts if its bus changed, or a file that its table names. A change of `[server]` is refused.
+    The answer comes when everything runs. A change of `[server]` is refused.
     """
     try:
         return await asyncio.wrap_future(service.start_reload())

@@ -119,8 +119,7 @@ async def page(
 ) -> Response:
     """The images of the last seconds, in `unit`, or their shear in counts, for up to `history_s` seconds.
 
-    The first page has the newest images, each page is in order, and `before` leads to the next page of the same
-    window; `cut` reports that images at the window's start may have been discarded.
+    The first page has the newest images, each page is in order, and `before` leads to the next page of the window.
     """
     if query.kind == "shear":
         sensor.need_shear()

@@ -79,9 +79,7 @@ def tare(
 ) -> calibration_schemas.Tare:
     """Tare: the mean of the next 0.5 s, of 16 frames at least, becomes no load, and an event reports the end.
 
-    It is refused while the newest frames show a load: a contact above noise and scatter, or readings that move;
-    `force=true` tares anyway. If a load comes meanwhile, or the sensor does not stay live, nothing changes, and
-    an event reports that.
+    It is refused or given up while a contact exceeds the noise or the readings move; `force=true` tares anyway.
     """
     service.tare(sensor.name, force)
     return calibration_schemas.Tare(frames=TARE_FRAMES, seconds=TARE_S)
