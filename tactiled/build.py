@@ -131,6 +131,11 @@ def configured_file(sensor: schema.Sensor) -> CalibrationFile | None:
     return None if path is None else calibration_file.load(path)
 
 
+def without_file(sensor: schema.Sensor) -> schema.Sensor:
+    """A sensor as it is configured, but for its calibration file."""
+    return sensor.model_copy(update={"calibration": sensor.calibration.model_copy(update={"file": None})})
+
+
 def _plan(name: str, sensor: schema.Sensor, file: CalibrationFile | None) -> SensorPlan:
     array, codec = make_array(sensor), make_codec(sensor)
     if codec.size != array.size:

@@ -160,16 +160,19 @@ def load(path: Path) -> CalibrationFile | None:
         raise ConfigError(f"{path}: {error}") from error
 
 
-def save(path: Path, file: CalibrationFile) -> None:
-    """Write a file; the one before becomes PATH.1, and so on to PATH.10. StateError where it cannot be written.
+def save(path: Path, file: CalibrationFile | None) -> None:
+    """Write a file, or remove it for None; the one before becomes PATH.1, and so on to PATH.10.
 
-    At any moment there is a whole file at `path`, whatever ends the process.
+    StateError where that fails. At any moment the file at `path` is whole, or removed, whatever ends the process.
     """
     try:
+        if file is None:
+            _keep(path)
+            path.unlink(missing_ok=True)
+            return
         with atomic_write(path, replace=True) as part:
             part.write_text(file.text, "utf-8")
-            if path.exists():
-                _keep(path)
+            _keep(path)
     except OSError as error:
         raise StateError(f"{path}: {error.strerror}: nothing was written") from error
 
@@ -192,7 +195,9 @@ def former(path: Path) -> dict[int, CalibrationFile | str]:
 
 
 def _keep(path: Path) -> None:
-    """Copy a file to PATH.1, those before it renamed to the next number, the last one dropped."""
+    """Copy a file to PATH.1 if there is one, those before it renamed to the next number, the last one dropped."""
+    if not path.exists():
+        return
     former = kept(path)
     free = next((n for n in range(1, FILES_KEPT) if n not in former), FILES_KEPT)
     for n in range(free - 1, 0, -1):

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactiled.build import SensorPlan
+from tactiled.calibrate.calibration_file import CalibrationFile
 from tactiled.calibrate.tare import Zero
 from tactiled.contacts.detection import Contact
 from tactiled.errors import LoadedError, NoShearError, NotLiveError, TareStateError
@@ -91,6 +92,7 @@ class Sensor:
         self.errors: Callable[[], Mapping[str, int]] = dict  # error frames of its bus by now, by kind
         self.budget_share = BUDGET_SHARE  # set by the service, from the number of its sensors
         self.newest: RawFrame | None = None  # in counts; its image may not be made yet
+        self.former: tuple[CalibrationFile, ...] = ()  # the newest first; those that were not written
         self._clock = clock
         self._tracking = ContactTracking(plan.name, self.hub, plan.array, plan.cells)
         self._between_frames = threading.Lock()  # is held while a frame is processed

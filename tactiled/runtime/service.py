@@ -11,9 +11,9 @@ from types import MappingProxyType
 from typing import Any
 
 from tactiled import systemd
-from tactiled.build import SensorPlan, sensor_plan, sensor_plans
+from tactiled.build import SensorPlan, sensor_plan, sensor_plans, without_file
 from tactiled.bus.replay import Replay
-from tactiled.calibrate.calibration_file import CalibrationFile, former, save
+from tactiled.calibrate.calibration_file import FILES_KEPT, CalibrationFile, former, save
 from tactiled.config import Config, load
 from tactiled.errors import BusError, ConfigError, ReloadError, StateError, TactileError, UnknownSensorError
 from tactiled.restore.methods import METHODS, require
@@ -101,25 +101,38 @@ class Service:
         sensor.undo_tare()
         self.events.add("tare_undone", f"the zero from before the tare; {self._keep_tare(sensor)}", name)
 
-    def apply_calibration(self, name: str, file: CalibrationFile) -> None:
+    def apply_calibration(self, name: str, file: CalibrationFile | None) -> None:
         """Calibrate a sensor by `file` from the next frame on, and write it where the configuration names one.
 
-        ConfigError where it does not fit, StateError where it cannot be written; then nothing has changed. Solving
-        a cover takes seconds, in which frames go on.
+        None: as configured, without a file; a written one is removed. ConfigError where it does not fit,
+        StateError where it cannot be written; then nothing has changed. Solving a cover takes seconds, in which
+        frames go on.
         """
         with self._apply_lock:
             sensor, settings = self.sensor(name), self.config.sensor[name]
             path = settings.calibration.file
-            plan = sensor_plan(name, settings, file)
+            plan = sensor_plan(name, settings if file else without_file(settings), file)
+            before = sensor.plan.file
             with self._set_lock:  # the method goes with it
                 sensor.recalibrate(plan, lambda: save(path, file) if path else None)
-            kept = f"written to {path.name}" if path else "until the service ends: calibration.file is not set"
-            self.events.add("calibration_applied", f"{file.id}: {', '.join(file.sections)}; {kept}", name)
+            if before and not path:
+                sensor.former = (before, *sensor.former)[:FILES_KEPT]
+            if file:
+                kept = f"written to {path.name}" if path else "until the service ends: calibration.file is not set"
+                text = f"{', '.join(file.sections)}; {kept}"
+            else:
+                text = f"without a file; {path.name} is removed" if path else "without a file"
+            self.events.add("calibration_applied", f"{plan.calibration_id}: {text}", name)
 
-    def former_calibrations(self, name: str) -> dict[int, CalibrationFile | str]:
-        """The files before a sensor's present one by number, 1 the newest; of one that cannot be read, why."""
-        path = self.config.sensor[self.sensor(name).name].calibration.file
-        return former(path) if path else {}
+    def former_calibrations(self, name: str) -> dict[int, CalibrationFile | str | None]:
+        """What was before a sensor's present file by number, 1 the newest; of one that cannot be read, why.
+
+        0 is None: the configured calibration, without a file.
+        """
+        sensor = self.sensor(name)
+        path = self.config.sensor[name].calibration.file
+        files = former(path) if path else dict(enumerate(sensor.former, 1))
+        return {**files, 0: None} if sensor.plan.file else {**files}
 
     def _note_missing_calibration(self, name: str) -> None:
         file = self.config.sensor[name].calibration.file

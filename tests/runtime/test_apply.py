@@ -70,7 +70,12 @@ def test_without_a_configured_file_it_lasts_until_the_service_ends(make):
     image = restored(service)
     assert (image.calibration, image.raw[3, 3]) == (file.id, 100)
     assert kinds(service)[-1][1].endswith("gain; until the service ends: calibration.file is not set")
-    assert service.former_calibrations("palm") == {}
+    assert service.former_calibrations("palm") == {0: None}
+    service.apply_calibration("palm", lines(0.5))
+    assert service.former_calibrations("palm") == {1: file, 0: None}
+    service.apply_calibration("palm", None)
+    assert kinds(service)[-1] == ("calibration_applied", "configured: without a file")
+    assert (restored(service, 1).calibration, [*service.former_calibrations("palm")]) == ("configured", [1, 2])
     assert restored(make(file=None)).calibration == "configured"
 
 

@@ -71,6 +71,11 @@ def test_a_gain_is_fitted_step_by_step_and_applied(rig, skin, url, open_page):
     assert page.evaluate(USELESS) == [False, False, False]
     page.evaluate("window.fetch = window.quick")
     assert rig.sensor.plan.file.gain is not None
+    page.get_by_role("button", name="Undo the gain").click()
+    page.wait(f"{MESSAGE} === 'Undone: the calibration before holds again.'")
+    assert not page.evaluate(VISIBLE.format("undo"))
+    assert rig.sensor.plan.file is None
+    assert rig.service.events.after(0)[-1].text == "configured: without a file"
     page.press("Escape")
     assert not page.evaluate("document.getElementById('calibrate').open")
     page.finish("404")  # of a look at what was just applied

@@ -8,6 +8,7 @@ from starlette.concurrency import run_in_threadpool
 
 from tactiled.calibrate.calibration_file import FILES_KEPT, CalibrationFile, max_bytes, read
 from tactiled.errors import ConfigError
+from tactiled.frames import CONFIGURED
 from tactiled.runtime.sensor import Sensor
 from tactiled.web import answers, calibration_schemas, schemas
 from tactiled.web.http.problems import Problem
@@ -21,14 +22,17 @@ router = APIRouter(prefix="/api/v1/sensors/{name}/calibration", tags=["sensors"]
 CONTENT = {MEDIA["calibration"]: {"schema": {"type": "object"}}}
 BODY = {"description": "a calibration file", "required": True, "content": CONTENT}
 FILE: Responses = {200: {"description": "the file", "content": CONTENT}}
-FileNumber = Annotated[int, Path(ge=1, le=FILES_KEPT, description="1: the file before the present one")]
+NUMBER = "1: the file before the present one; 0: the configured calibration, without a file"
+FileNumber = Annotated[int, Path(ge=0, le=FILES_KEPT, description=NUMBER)]
 
 
 class FormerCalibration(schemas.Schema):
-    """A calibration file that was in force before."""
+    """A calibration that was in force before."""
 
-    number: int = Field(description="1: the newest", examples=[1])
-    id: str | None = Field(description="null: it cannot be read", examples=["3f9a0c52d1e7"])
+    number: int = Field(description="1: the newest; 0: the configured one, without a file", examples=[1])
+    id: str | None = Field(
+        description="of number 0 `configured`; null: it cannot be read", examples=["3f9a0c52d1e7"]
+    )
     created: str | None = Field(
         description="UTC, when its newest section was made", examples=["2026-11-22T08:30:00Z"]
     )
@@ -37,7 +41,7 @@ class FormerCalibration(schemas.Schema):
 
 
 class CalibrationHistory(schemas.Schema):
-    """Calibration files that were in force before, the newest first."""
+    """Calibrations that were in force before: files, the newest first, then the configured one."""
 
     files: tuple[FormerCalibration, ...]
 
@@ -78,7 +82,7 @@ def _uploaded(
 
 @router.get("/history", responses=problems(404))
 def history(sensor: NamedSensor, service: CurrentService) -> CalibrationHistory:
-    """The calibration files before the present one; up to ten are kept."""
+    """The calibration files before the present one, up to ten, and as number 0 the configured calibration."""
     files = service.former_calibrations(sensor.name).items()
     return CalibrationHistory(files=tuple(_former(n, each) for n, each in files))
 
@@ -87,24 +91,27 @@ def history(sensor: NamedSensor, service: CurrentService) -> CalibrationHistory:
 def apply_again(
     sensor: NamedSensor, service: CurrentService, request: Request, number: FileNumber
 ) -> calibration_schemas.SensorCalibration:
-    """Calibrate by a former file again."""
-    file = service.former_calibrations(sensor.name).get(number)
-    if file is None:
+    """Calibrate by a former file again, or by 0 as configured: a written file then becomes number 1."""
+    former = service.former_calibrations(sensor.name)
+    if number not in former:
         raise Problem(404, f"sensor {sensor.name!r}: no former calibration {number}")
+    file = former[number]
     if isinstance(file, str):
         raise ConfigError(f"former calibration {number}: {file}")
     return _applied(service, sensor, file, request)
 
 
 def _applied(
-    service: "Service", sensor: Sensor, file: CalibrationFile, request: Request
+    service: "Service", sensor: Sensor, file: CalibrationFile | None, request: Request
 ) -> calibration_schemas.SensorCalibration:
     with applying(service, sensor.name):
         service.apply_calibration(sensor.name, file)
     return answers.calibration(sensor, request.app.state.calibrations.way(sensor.name))
 
 
-def _former(number: int, file: CalibrationFile | str) -> FormerCalibration:
+def _former(number: int, file: CalibrationFile | str | None) -> FormerCalibration:
+    if file is None:
+        return FormerCalibration(number=number, id=CONFIGURED, created=None, sections=[])
     if isinstance(file, str):
         return FormerCalibration(number=number, id=None, created=None, sections=[], error=file)
     return FormerCalibration(number=number, id=file.id, created=file.created, sections=[*file.sections])

@@ -96,7 +96,7 @@ const APPLY_TIMEOUT_MS = 60_000; // a cover is solved
  * `load` is what of a load the newest frames show, "" for none; `session` the guided calibration that is open.
  * @typedef {{
  *   calibrated: boolean, kpa_per_count: number|null, dead: number[], load: string, tared_at?: number|null,
- *   can_undo?: boolean, session: Way|null
+ *   can_undo?: boolean, session: Way|null, id?: string
  * }} Calibration
  */
 
@@ -304,6 +304,13 @@ export const markLoad = (name, load) => request(`${atSession(name)}/mark`, sendi
 /** @param {string} name @param {"fit"|"cancel"|"apply"} action @returns {Promise<CalibrationSession|null>} */
 export const calibrationAction = (name, action) =>
   request(`${atSession(name)}/${action}`, { method: "POST", timeout_ms: APPLY_TIMEOUT_MS });
+
+/** @param {string} name @returns {Promise<{files: {number: number, id: string|null}[]}>} what was in force before, the newest first */
+export const formerCalibrations = (name) => request(`${at(name)}/calibration/history`);
+
+/** @param {string} name @param {number} number of the history @returns {Promise<Calibration>} */
+export const applyFormer = (name, number) =>
+  request(`${at(name)}/calibration/history/${number}`, { method: "POST", timeout_ms: APPLY_TIMEOUT_MS });
 
 /** @param {string} name @returns {Promise<null>} */
 export const discardCalibration = (name) => request(atSession(name), { method: "DELETE" });

@@ -52,6 +52,8 @@ export class CalibrationPage {
     /** @type {string|null} */
     this._verdict = null;
     this._busy = false; // with a look at the service
+    /** @type {{name: string, before?: string, id?: string}|null} */
+    this._applied = null; // the calibration that was, and its id once it is known: to undo it
     this._acting = false;
     this._acts = 0; // so far: what was asked before the newest is old
     this._error = ""; // of the last fit, as it was said
@@ -71,6 +73,7 @@ export class CalibrationPage {
     for (const each of ["calibrate-fit", "calibrate-again"]) press(each, startFit);
     press("calibrate-cancel", () => this._act("Not cancelled", () => api.calibrationAction(this._name, "cancel")));
     press("calibrate-apply", () => this._apply());
+    press("calibrate-undo", () => this._undo());
     for (const each of dialog.querySelectorAll(".discard")) each.addEventListener("click", () => this._discard());
     byId("calibrate-choose").addEventListener("submit", (event) => this._start(event));
     byId("calibrate-mark").addEventListener("submit", (event) => this._mark(event));
@@ -124,6 +127,8 @@ export class CalibrationPage {
       if (acts !== this._acts || name !== this._name || !dialog.open) return;
       if (this._unseen) this._say("");
       this._unseen = false;
+      const applied = this._applied?.name === name ? this._applied : null;
+      if (applied && (applied.id ??= calibration.id) !== calibration.id) this._applied = null; // another was applied since
       this._showTare(calibration);
       this._take(session);
       if (this._isFirstLook) {
@@ -172,6 +177,7 @@ export class CalibrationPage {
       else each.removeAttribute("aria-current");
     }
     if (own) this._showSession(own);
+    byId("calibrate-undo").hidden = Boolean(this._session) || this._applied?.name !== this._name;
     const zones = own && panel !== "result" ? own.quality : null;
     this._showZones(zones?.zones ?? [], zones?.zone_presses_needed ?? 0);
     if (panel !== this._panel) {
@@ -310,14 +316,38 @@ export class CalibrationPage {
     const step = this._step;
     const setDisabled = (/** @type {boolean} */ is) => ends.forEach((each) => { each.disabled = is; });
     setDisabled(true);
-    const done = await this._act("Not applied", () => {
+    const name = this._name;
+    const done = await this._act("Not applied", async () => {
       if (step === "cover") this._say("The cover is solved. This takes some seconds.");
-      return api.calibrationAction(this._name, "apply");
+      const { id: before } = await api.calibration(name);
+      const ended = await api.calibrationAction(name, "apply");
+      this._applied = { name, before };
+      setText(byId("calibrate-undo"), `Undo the ${step}`);
+      return ended;
     });
     setDisabled(false);
     if (!done) return;
     if (step === "gain") this._go("cover");
     this._say(step === "gain" ? "The gain is applied. Next: the cover." : "The cover is applied: images are restored with it.");
+    this._viewer.loadKernel();
+  }
+
+  async _undo() {
+    const { name, before } = /** @type {{name: string, before?: string}} */ (this._applied);
+    const undo = /** @type {HTMLButtonElement} */ (byId("calibrate-undo"));
+    undo.disabled = true;
+    const done = await this._act("Not undone", async () => {
+      const { files } = await api.formerCalibrations(name);
+      const former = files.find(({ id }) => id === before);
+      if (!former) throw new Error("the calibration before is no longer kept");
+      await api.applyFormer(name, former.number);
+      this._applied = null;
+      return this._session;
+    });
+    undo.disabled = false;
+    if (!done) return;
+    this._say("Undone: the calibration before holds again.");
+    this._focus();
     this._viewer.loadKernel();
   }
 

@@ -1,9 +1,11 @@
 """The calibration file over REST: download, upload, history; and the tare's undo."""
 
 import time
+from unittest.mock import Mock
 
 import pytest
 
+from tactiled.calibrate.calibration_file import load
 from tactiled.config import Server, parse
 from tactiled.errors import ConfigError
 from tactiled.runtime.service import Service
@@ -39,19 +41,43 @@ def test_an_uploaded_file_applies_is_downloaded_again_and_is_in_the_history(palm
     assert download.text == file.text
     assert download.headers["content-type"] == "application/vnd.tactiled.calibration+json"
     assert 'filename="palm.json"' in download.headers["content-disposition"]
-    assert ask("GET", f"{palm}/history").json() == {"files": []}
     ask("PUT", f"{palm}/file", content=other.text)
-    (former,) = ask("GET", f"{palm}/history").json()["files"]
+    former, configured = ask("GET", f"{palm}/history").json()["files"]
     assert former == {
         "number": 1, "id": file.id, "created": CREATED, "sections": ["no_load", "gain", "cover", "health"],
         "error": None,
     }  # fmt: skip
+    assert configured == {"number": 0, "id": "configured", "created": None, "sections": [], "error": None}
     assert ask("POST", f"{palm}/history/1").json()["id"] == file.id
     (tmp_path / "palm.json.2").write_text("{")
     refused = problem(ask("POST", f"{palm}/history/2"), 422)
     assert refused.startswith("former calibration 2: truncated, or not JSON")
     assert ask("GET", f"{palm}/history").json()["files"][1]["error"].startswith("truncated")
     assert problem(ask("POST", f"{palm}/history/3"), 404) == "sensor 'palm': no former calibration 3"
+
+
+def test_the_first_file_is_undone_and_stays_so_after_a_restart(tmp_path, monkeypatch):
+    config = parse(CONFIG.format(channel="none").replace(SCALARS, 'file = "palm.json", '), folder=tmp_path)
+    file, service, path = calibration_file(), Service(config), tmp_path / "palm.json"
+    with running(service) as url:
+        palm = url + "/api/v1/sensors/palm/calibration"
+        assert problem(ask("POST", f"{palm}/history/0"), 404) == "sensor 'palm': no former calibration 0"
+        before = ask("GET", palm).json()
+        ask("PUT", f"{palm}/file", content=file.text)
+        with monkeypatch.context() as broken:
+            broken.setattr("os.fsync", Mock(side_effect=OSError(28, "No space left on device")))
+            assert "nothing was written" in problem(ask("POST", f"{palm}/history/0"), 503)
+        assert (ask("GET", palm).json()["id"], path.read_text()) == (file.id, file.text)
+        undone = ask("POST", f"{palm}/history/0").json()
+        assert undone == ask("GET", palm).json()
+        assert undone | {"noise": None} == before | {"noise": None}  # it is measured anew
+        assert service.events.after(0)[-1].text == "configured: without a file; palm.json is removed"
+        assert not path.exists()
+        assert Service(config).sensor("palm").plan.calibration_id == "configured"
+        (former,) = ask("GET", f"{palm}/history").json()["files"]
+        assert (former["number"], former["id"]) == (1, file.id)
+        assert ask("POST", f"{palm}/history/1").json()["id"] == file.id
+        assert load(path) == file
 
 
 def test_a_file_longer_than_any_of_its_array_is_refused_unread(palm, monkeypatch):
