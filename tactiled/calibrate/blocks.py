@@ -103,6 +103,11 @@ class TaxelNoise:
         return np.sqrt(np.maximum(self._variance, self._step**2 / 12))
 
     @property
+    def seen(self) -> NDArray[np.bool_]:
+        """(N,) taxels that were seen in a block; the others' noise is unknown."""
+        return self._blocks > 0
+
+    @property
     def reliable(self) -> NDArray[np.bool_]:
         """(N,) taxels that were seen in enough blocks."""
         return self._blocks >= KNOWN_BLOCKS

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from tactiled.calibrate.blocks import DIFFERENCE_VARIANCE, KNOWN_BLOCKS, Block
+from tactiled.calibrate.blocks import DIFFERENCE_VARIANCE, KNOWN_BLOCKS, Block, TaxelNoise
 from tactiled.calibrate.neighbourhood import SHARE, Neighbourhood
 from tactiled.geometry import Array
 
@@ -24,7 +24,7 @@ LOADED_SIGMAS, LOADED = 8.0, 0.02  # noise standard deviations, and part of full
 DEAD_RATIO, WEAK_RATIO = 0.25, 0.5  # of the least that a taxel may read; of what its neighbours do it heals
 CLEAR_SIGMAS, CLEAR = 2.0, 0.001  # noise standard deviations, and part of full scale, of a least that is known
 STUCK_NOISE = 1.0  # steps: rounded noise of less may stand still; alternating between two steps shows 0.82
-NOISY_RATIO = 5.0  # of a taxel's noise to the array's median
+NOISY_RATIO = 5.0  # of a taxel's noise to the median of those that are known
 SHARE_ERRORS = 4.0  # standard errors within it of a share that is measured
 MIN_POOLED = 5  # blocks that a share is measured from
 MOVING = 3.0  # of the variance of the neighbours' sum in a block: a load moves, which is no noise
@@ -108,18 +108,18 @@ class TaxelHealth:
         self._rising = 1 if ends[1] > ends[0] else -1
 
     def update(
-        self, block: Block, sigma: Floats, load: Floats, usable: Mask, swapped: Mask, measured: bool = True
+        self, block: Block, noise: TaxelNoise, load: Floats, usable: Mask, swapped: Mask, measured: bool = True
     ) -> list[Change]:
-        """Take a block, its taxels' noise and load over zero, (N,) counts, which are in use, which are swapped.
+        """Take a block, its taxels' noise, load over zero (N,) in counts, which are in use, which are swapped.
 
         The zeros were `measured`, so that a reading below zero is no offset.
         """
-        readable = block.readable & usable
+        readable, sigma = block.readable & usable, noise.sigma
         self._score(Fault.SWAPPED, swapped, ~swapped)
         self._blocks += 1
         above, below = self._unexplained(sigma, load, readable, measured)
         self._look_at_stillness(block, sigma, readable, above | below)
-        self._look_at_noise(block, sigma, load, readable, measured)
+        self._look_at_noise(block, noise, load, readable, measured)
         top = self._at_ceiling(block)
         self._score(Fault.SATURATED, readable & top & above, readable & ~top)
         self._look_at_presses(sigma, load, readable & ~top)
@@ -172,8 +172,11 @@ class TaxelHealth:
         stuck = still & ((inside & moving & trembled) | (unexplained & ~self._at_ceiling(block)))
         self._score(Fault.STUCK, judged & stuck, readable & ~still)
 
-    def _look_at_noise(self, block: Block, sigma: Floats, load: Floats, readable: Mask, measured: bool) -> None:
-        typical = float(np.median(sigma[readable])) if readable.any() else 0.0
+    def _look_at_noise(
+        self, block: Block, noise: TaxelNoise, load: Floats, readable: Mask, measured: bool
+    ) -> None:
+        sigma, known = noise.sigma, readable & noise.seen
+        typical = float(np.median(sigma[known])) if known.any() else np.inf
         now = np.sqrt(block.variance)
         noisy = readable & (now > NOISY_RATIO * typical) & (self._blocks > KNOWN_BLOCKS)
         own, joined, pulled = np.zeros((3, *noisy.shape), bool)

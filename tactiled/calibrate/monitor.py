@@ -79,7 +79,7 @@ class SkinMonitor:
         sigma = self._noise.sigma
         configured = ~calibrator.dead
         swapped, measured = self.map.swapped, calibrator.measured
-        self._changes.extend(self._health.update(block, sigma, load, configured, swapped, measured))
+        self._changes.extend(self._health.update(block, self._noise, load, configured, swapped, measured))
         healthy = configured & (self._health.faults == Fault.HEALTHY)
         calibrator.faulty = np.where(self._health.faults > 0, FAULTY, 0).astype(np.uint8)
         loaded = healthy & (load > np.maximum(LOADED_SIGMAS * sigma, LOADED * self._health.full_scale))

@@ -158,6 +158,14 @@ def test_a_taxel_whose_noise_no_load_explains_is_noisy(thickness, times, spikes,
     assert noisy(thickness, times, spikes, measured, seconds=within_s, seed=4) < within_s
 
 
+def test_no_taxel_is_noisy_where_most_are_loaded_and_frames_come_unevenly():
+    random = np.random.default_rng(14)
+    run, loaded = Run(plan(SHAPE, 2.0)), np.arange(100) % 10 > 3  # the noise of these cannot be measured
+    for time_s in np.cumsum(random.exponential(1 / 9, 800)):
+        load = 40 * (1 + 0.25 * np.sin(time_s)) * loaded
+        assert run.push(NO_LOAD + load + random.normal(0, 4, 100), time_s) == []
+
+
 def test_a_dead_row_is_found_though_its_taxels_are_each_others_neighbours():
     random = np.random.default_rng(6)
     run, changes = Run(plan(SHAPE, 1.0)), []

@@ -61,10 +61,11 @@ class Run:
         self.frames, self.rate_hz = 0, rate_hz
         self._flags = np.zeros(skin.array.size, np.uint8)
 
-    def push(self, counts):
-        """Give a frame (N,), noise included; returns the changes of states."""
+    def push(self, counts, time_s=None):
+        """Give a frame (N,), noise included, after the last one by a period or at a time; returns the changes."""
         rounded = np.clip(np.round(counts), 0, FULL_SCALE).astype(np.uint16)
-        frame = RawFrame(self.frames, self.frames / self.rate_hz, 0.0, rounded, self._flags, Loss())
+        at_s = self.frames / self.rate_hz if time_s is None else time_s
+        frame = RawFrame(self.frames, at_s, 0.0, rounded, self._flags, Loss())
         self.frames += 1
         return self.monitor.drain_changes() if self.monitor.push(frame, self.calibrator) else []
 
