@@ -113,3 +113,11 @@ def announce(text: str, level: int = logging.INFO) -> None:
         LOG.log(level, "%s", text)
     else:
         print(f"tactiled: {text}", file=sys.stderr if level > logging.INFO else sys.stdout, flush=True)
+
+
+def progress(text: str) -> None:
+    """A line on what takes time now: on stderr, so that stdout begins with the address; as JSON logged."""
+    if getattr(HANDLER.formatter, "style", None) == "json":
+        LOG.info("%s", text)
+    else:
+        print(f"tactiled: {text}", file=sys.stderr, flush=True)

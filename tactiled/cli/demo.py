@@ -61,7 +61,7 @@ def demo(
     """Simulate a covered array, or play a real recording, and serve it live; needs no hardware."""
     config = demo_config(record, shear)
     with threadpool_limits(1), TemporaryDirectory(prefix="tactiled-demo-", ignore_cleanup_errors=True) as folder:
-        service = Service(config, report=logs.announce)
+        service = Service(config, report=logs.progress)
         source = _source(record, config, scene, rate_hz, Path(folder))
         with stoppable(), running(service, config, source):
             serve(service, _server(host, port, foxglove, folder))
@@ -79,7 +79,7 @@ def _source(record: str | None, config: Config, scene: str | None, rate_hz: floa
 def simulation(config: Config, scene: str | None, rate_hz: float, folder: Path) -> Source:
     """All sensors under a scene, or each under its own; a recording of them is put into `folder`."""
     players = [simulated(each, scene or OPENING[name], NOISE_KPA) for name, each in config.sensor.items()]
-    logs.announce("simulating a recording to play")
+    logs.progress("simulating a recording to play")
     _record(players, folder / "fingertips.log")
 
     def messages(sequence: int, t: float, now: float) -> list[Message]:

@@ -38,7 +38,7 @@ def run(
         if not finding.hint:
             logs.announce(f"doubtful: {finding}", logging.WARNING)  # the value may be right: run all the same
     with stoppable(), threadpool_limits(1):  # frames are small: a second thread costs more than it gives
-        service = prepared(config, logs.announce)
+        service = prepared(config, logs.progress)
         address = service.config.server.model_dump(exclude_unset=True) | options.present(foxglove=foxglove)
         server = validated(Server, address, f"--foxglove {foxglove}")
         zenoh = service.config.zenoh

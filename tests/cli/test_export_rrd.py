@@ -41,7 +41,7 @@ def test_an_export_for_rerun_holds_maps_series_and_warnings(tmp_path, config, lo
         assert got[f"/palm/{name}"]["frame"] == npz["sequence"].tolist()
         assert static[f"/palm/{name}", "translation"] == [[-0.5, -0.5, 0.0]]  # mm: the first taxel is at (0, 0)
         assert static[f"/palm/{name}", "scale"] == [[1.0, 1.0, 1.0]]
-        highest = max(np.nanmax(npz["raw"]), npz["restored"].max())
+        highest = max(np.nanmax(npz[each]) for each in ("raw", "restored"))
         assert static[f"/palm/{name}", "depth_range"] == [pytest.approx([0.0, highest])]
     assert "log_time" not in got["/palm/raw"]
     force = [each[0] for each in got["/palm/force"]["scalars"]]

@@ -38,7 +38,9 @@ def test_maps_show_the_data_in_the_colours_of_the_range(rig, url, open_page):
     alpha, taxels = page.pixels("raw")[..., 3].ravel(), rig.sensor.codec.taxels
     assert (alpha[:taxels] == 0).all()  # without data
     assert (alpha[taxels:] == 255).all()
-    assert (page.pixels("restored")[..., 3] == 255).all()
+    known = np.isfinite(rig.sensor.hub.latest().restored)
+    assert known.any()
+    np.testing.assert_array_equal(page.pixels("restored")[..., 3] == 255, known)
     page.get_by_label("Method").select_option("raw")
     until(lambda: rig.sensor.method == "raw")
     image = page.show(rig, pressed())
@@ -211,7 +213,7 @@ def test_a_still_image_has_its_own_method_and_details_of_another_moment_say_so(r
             assert OFFSET.search(source) or source == "details not reported"
         else:
             warnings = page.locator("#warnings li").all_text_contents()
-            assert (why, warnings) == (image.why, [each.text for each in image.warnings])
+            assert (why, warnings) == (image.why, [each.text for each in image.warnings if each.code != "cut_short"])
             own += 1
         page.press("ArrowLeft")
     assert own > 1
