@@ -96,8 +96,9 @@ def below_zero(pressure: NDArray[np.floating], noise: float, highest: float) -> 
         return nothing
     known = pressure[np.isfinite(pressure)]
     level = min(float(np.median(known)), 0.0)
-    off = level - known
-    scatter = QUARTILE_TO_SIGMA * float(np.quantile(off[off > 0], 0.25))
+    if not (off := level - known[known < level]).size:
+        return nothing
+    scatter = QUARTILE_TO_SIGMA * float(np.quantile(off, 0.25))
     clear = CLEARLY_BELOW * max(noise, scatter)
     far = max(BELOW_SIGMAS * max(noise, scatter), BELOW_SHARE * highest)
     return np.less(pressure, level - clear, out=nothing) if float(known.min()) < level - far else nothing

@@ -46,7 +46,8 @@ def test_an_export_for_rerun_holds_maps_series_and_warnings(tmp_path, config, lo
     assert "log_time" not in got["/palm/raw"]
     force = [each[0] for each in got["/palm/force"]["scalars"]]
     np.testing.assert_allclose(force, 1e-3 * npz["restored"].sum((1, 2)), atol=1e-5)
-    assert [each[0] for each in got["/palm/peak"]["scalars"]] == pytest.approx(npz["restored"].max((1, 2)))
+    peaks = [each[0] for each in got["/palm/peak"]["scalars"]]  # NaN where cells are unknown
+    np.testing.assert_allclose(peaks, npz["restored"].max((1, 2)), rtol=1e-6)
     assert static["/palm/force", "names"] == ["force in N"]
     assert got["/palm/contacts"]["labels"][-1] == ["1.40 N"]
     masks = got["/palm/raw/no_data"]

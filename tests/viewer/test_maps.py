@@ -213,7 +213,10 @@ def test_a_still_image_has_its_own_method_and_details_of_another_moment_say_so(r
             assert OFFSET.search(source) or source == "details not reported"
         else:
             warnings = page.locator("#warnings li").all_text_contents()
-            assert (why, warnings) == (image.why, [each.text for each in image.warnings if each.code != "cut_short"])
+            assert (why, warnings) == (
+                image.why,
+                [each.text for each in image.warnings if each.code != "cut_short"],
+            )
             own += 1
         page.press("ArrowLeft")
     assert own > 1
