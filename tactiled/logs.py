@@ -107,17 +107,14 @@ def configure(style: Style) -> Style:
     return style
 
 
-def announce(text: str, level: int = logging.INFO) -> None:
-    """A line for whoever started the process: on stdout, a warning or an error on stderr; as JSON logged."""
+def announce(text: str, level: int = logging.INFO, *, aside: bool = False) -> None:
+    """A line for whoever started the process; a warning, an error or an aside on stderr; as JSON logged."""
     if getattr(HANDLER.formatter, "style", None) == "json":
         LOG.log(level, "%s", text)
     else:
-        print(f"tactiled: {text}", file=sys.stderr if level > logging.INFO else sys.stdout, flush=True)
+        print(f"tactiled: {text}", file=sys.stderr if aside or level > logging.INFO else sys.stdout, flush=True)
 
 
 def progress(text: str) -> None:
-    """A line on what takes time now: on stderr, so that stdout begins with the address; as JSON logged."""
-    if getattr(HANDLER.formatter, "style", None) == "json":
-        LOG.info("%s", text)
-    else:
-        print(f"tactiled: {text}", file=sys.stderr, flush=True)
+    """A line on what takes time now, on stderr: whoever reads stdout waits for the address."""
+    announce(text, aside=True)
