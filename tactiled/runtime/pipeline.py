@@ -1,5 +1,6 @@
 """One sensor's way from counts to the restored image: calibrate, restore, check."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property
 from math import inf
@@ -22,7 +23,7 @@ from tactiled.frames import BELOW_ZERO, FLAG_BITS, UNKNOWN, FrameWarning, Image,
 from tactiled.geometry import tiling
 from tactiled.restore.methods import NO_DATA, Restorer, make, require
 from tactiled.restore.noise import estimate, noise_ratio
-from tactiled.restore.scene import Restored
+from tactiled.restore.scene import Restored, never
 from tactiled.runtime.cover_monitor import CoverMonitor
 from tactiled.runtime.noise import Noise
 from tactiled.runtime.tare_frames import TARE_FRAMES, TareFrames
@@ -199,7 +200,7 @@ class Pipeline:
         if self._made_for != (self.method, self.noise.kpa):
             self._restorer = self._make_restorer()
         calibrated = monotonic()
-        done = self._restore(raw, flags, Deadline(budget_s))
+        done = restore_frame(self._restorer, raw, flags, Deadline(budget_s))
         restored = monotonic()
         warnings = self._check(raw, flags, done, budget_s)
         checked = monotonic()
@@ -218,13 +219,6 @@ class Pipeline:
             shear=without_zero(frame.shear, self.zero.shear, flags),
             times=times,
         )
-
-    def _restore(self, raw: NDArray[np.float32], flags: NDArray[np.uint8], deadline: "Deadline") -> Restored:
-        """Restore a frame; what is far below zero counts as no pressure."""
-        below = flags & BELOW_ZERO > 0
-        if not below.any():
-            return self._restorer(raw, flags, deadline)
-        return self._restorer(np.where(below, np.float32(0), raw), flags & ~np.uint8(BELOW_ZERO), deadline)
 
     def _check(
         self, raw: NDArray[np.float32], flags: NDArray[np.uint8], done: Restored, budget_s: float
@@ -317,6 +311,16 @@ def without_zero(
     tared = shear - np.nan_to_num(zero)
     tared[:, flags.ravel() & UNKNOWN > 0] = np.nan
     return tared.reshape((2, *flags.shape))
+
+
+def restore_frame(
+    restorer: Restorer, raw: NDArray[np.float32], flags: NDArray[np.uint8], expired: Callable[[], bool] = never
+) -> Restored:
+    """Restore a frame; what is far below zero counts as no pressure."""
+    below = flags & BELOW_ZERO > 0
+    if not below.any():
+        return restorer(raw, flags, expired)
+    return restorer(np.where(below, np.float32(0), raw), flags & ~np.uint8(BELOW_ZERO), expired)
 
 
 def flag_warnings(flags: NDArray[np.uint8]) -> tuple[FrameWarning, ...]:

@@ -14,16 +14,16 @@ from numpy.typing import NDArray
 
 from tactiled.build import SensorPlan
 from tactiled.calibrate.calibration import Calibrator
-from tactiled.calibrate.tare import Zero
+from tactiled.calibrate.tare import Zero, below_zero
 from tactiled.contacts.detection import Contact, Finder
 from tactiled.diagnostics.checks import CHECK_EVERY_FRAMES, CHECKS_IN_A_ROW, FrameChecks
 from tactiled.diagnostics.warning_codes import WarningCode, warning
-from tactiled.frames import FrameWarning, Image, RawFrame
+from tactiled.frames import BELOW_ZERO, FrameWarning, Image, RawFrame
 from tactiled.geometry import tiling
 from tactiled.restore.methods import Restorer, make
 from tactiled.restore.noise import noise_ratio
 from tactiled.runtime.noise import numbers_with_data, recorded_noise
-from tactiled.runtime.pipeline import flag_warnings, make_image, without_zero
+from tactiled.runtime.pipeline import flag_warnings, make_image, restore_frame, without_zero
 from tactiled.runtime.recorded_frames import FrameFiles
 from tactiled.units import FORCE_SCALES
 
@@ -78,6 +78,7 @@ class Playback:
         self._finder = Finder(plan.array, plan.cells)
         self._areas = tiling(plan.array).areas  # (N,) mm^2
         self._overview, self._overview_frames = Overview(np.empty(0), np.empty(0)), 0
+        self._overview_numbers, self._overview_highest = np.empty(0, int), np.empty(0)  # frames, their readings
 
     def _pressure(self, number: int, frame: RawFrame) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
         self._follow(number, frame)
@@ -110,7 +111,10 @@ class Playback:
             self._restorers[method] = make(method, plan.blur, self.noise, self._noise_ratio)
         began = perf_counter()
         raw, flags = self._pressure(number, frame)
-        done = self._restorers[method](raw, flags)
+        if below_zero(raw, self.noise, 0.0).any():
+            below = below_zero(raw, self.noise, max(self._highest(number), float(np.nanmax(raw))))
+            flags = flags | np.where(below, BELOW_ZERO, np.uint8(0))
+        done = restore_frame(self._restorers[method], raw, flags)
         return make_image(
             plan,
             frame,
@@ -154,7 +158,9 @@ class Playback:
             pieces = pairwise([*starts, count])
             numbers = sorted({number for first, end in pieces for number in self._extremes(first, end)})
             positions = [self._recorded.heads(self.plan.name, n, 1)["position"][0] for n in numbers]
-            self._overview = Overview(np.array(positions), np.array([self._force(n) for n in numbers]))
+            force, highest = np.transpose([self._readings(n) for n in numbers])
+            self._overview = Overview(np.array(positions), force)
+            self._overview_numbers, self._overview_highest = np.array(numbers), highest
             self._overview_frames = count
         return self._overview
 
@@ -165,6 +171,15 @@ class Playback:
         totals = np.concatenate([heads(name, n, min(HEADS_AT_ONCE, end - n))["total"] for n in starts])
         return first + int(totals.argmin()), first + int(totals.argmax())
 
-    def _force(self, number: int) -> float:
+    def _readings(self, number: int) -> tuple[float, float]:
+        """Force on the raw image of a frame, and its highest pressure."""
         raw, _ = self._pressure(number, self._recorded.frame(self.plan.name, number))
-        return float(np.nansum(raw.ravel() * self._areas)) * FORCE_SCALES[self.plan.unit]
+        force = float(np.nansum(raw.ravel() * self._areas)) * FORCE_SCALES[self.plan.unit]
+        return force, float(np.fmax.reduce(raw, axis=None))
+
+    def _highest(self, number: int) -> float:
+        """The highest reading up to a frame, as far as the overview has it."""
+        if number >= self._overview_frames:
+            self.overview()
+        before = self._overview_highest[self._overview_numbers <= number]
+        return float(np.fmax.reduce(before, initial=0.0))

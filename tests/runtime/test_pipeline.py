@@ -1,5 +1,6 @@
 import re
 from dataclasses import replace
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
@@ -15,6 +16,7 @@ from tactiled.geometry import tiling
 from tactiled.runtime import pipeline as module
 from tactiled.runtime.noise import NOISE_FRAMES
 from tactiled.runtime.pipeline import Deadline, Pipeline
+from tactiled.runtime.playback import Playback
 from tactiled.runtime.tare_frames import TARE_FRAMES, TARE_S
 from tactiled.simulate.array import Surface
 from tests.calibrate.files import calibration_file, origin
@@ -124,6 +126,17 @@ def test_after_a_tare_under_a_load_what_it_left_is_unknown_and_nothing_else(make
         assert (np.nanmax(image.restored) > 92) == (counts is not UNLOADED)
         assert np.nanmax(image.restored[:, :2]) < 5
         assert "below_zero" in {each.code for each in image.warnings}
+    recording = MagicMock(frame=lambda _, number: images[number])
+    images = [frame(0, np.round(UNLOADED)), frame(1, pressed(at=6, force=3000)), frame(2, pressed(force=150))]
+    recording.count.return_value = len(images)
+    recording.heads.side_effect = lambda _, first, count: {
+        "time": np.full(count, 1e9), "position": np.arange(first, first + count), "total": np.arange(count),
+    }  # fmt: skip
+    playback = Playback(make("auto")._plan, replace(pipeline.zero, time=0.0), recording, ())
+    for number in (2, 0):  # after a high load, a reading of a tenth of it below zero is a slow skin's
+        played = playback.image(number, "auto")
+        assert np.isnan(played.restored[3:5, 3:5]).all() == (number == 0)
+        assert ("below_zero" in {each.code for each in played.warnings}) == (number == 0)
 
 
 def test_saturated_taxels_have_a_warning(make):
