@@ -7,6 +7,7 @@ from functools import partial
 
 import numpy as np
 
+from tactiled import surface
 from tactiled.bus import skins
 from tactiled.bus.codec import Codec, ShearCodec
 from tactiled.bus.codecs.packed import CLASSIC
@@ -258,12 +259,21 @@ def make_codec(sensor: schema.Sensor) -> Codec:
 
 def make_blur(kernel: Kernel, array: Array, refine: int) -> Blur:
     """The operator from surface cells to taxels; ConfigError where a layout that is no grid is to be refined."""
-    if array.shape is not None:
-        return GridBlur(partial(cached_table, stencil, kernel, array), array.shape, refine, array.pitch / refine)
-    if refine != 1:
+    if array.shape is None and refine != 1:
         raise ConfigError(f"refine = {refine}: only a grid can be refined; give 1")
-    cells = tiling(array)
-    return MatrixBlur(cached_table(tiled, kernel, array, cells), float(np.sqrt(cells.areas.mean())))
+    blur: Blur
+    if array.shape is not None:
+        blur = _grid_blur(kernel, array, refine)
+    else:
+        cells = tiling(array)
+        blur = MatrixBlur(cached_table(tiled, kernel, array, cells), float(np.sqrt(cells.areas.mean())))
+    blur.wide = surface.make(kernel, array, refine)
+    return blur
+
+
+def _grid_blur(kernel: Kernel, array: Array, refine: int) -> GridBlur:
+    assert array.shape is not None
+    return GridBlur(partial(cached_table, stencil, kernel, array), array.shape, refine, array.pitch / refine)
 
 
 def make_kernel(settings: schema.Kernel, stack: Stack, cover: CoverSection | None) -> Kernel:

@@ -167,6 +167,25 @@ def tiling(array: Array, refine: int = 1) -> Cells:
     return Cells(pieces[within], side, owner[within].astype(np.int64))
 
 
+def raster(corner: NDArray[np.float64], shape: tuple[int, int], side: float, parts: int) -> Cells:
+    """Give (R, C) square cells of `side` (mm) from a corner (x, y), each made of parts x parts squares."""
+    y, x = np.mgrid[: parts * shape[0], : parts * shape[1]]
+    squares = np.column_stack([x.ravel() + 0.5, y.ravel() + 0.5]) * side / parts + corner
+    return Cells(squares, side / parts, (y // parts * shape[1] + x // parts).ravel())
+
+
+def spacing(array: Array) -> float:
+    """Give the distance (mm) between neighbours: of a layout the median of what is around each taxel."""
+    if array.shape is not None:
+        return array.pitch
+    from scipy.spatial import cKDTree
+
+    near = min(NEIGHBOURS, array.size - 1) + 1
+    return float(
+        np.median(_spacings(array, *map(np.asarray, cKDTree(array.positions).query(array.positions, k=near))))
+    )
+
+
 def _spacings(array: Array, distances: NDArray[np.float64], taxels: NDArray[np.int64]) -> NDArray[np.float64]:
     """A layout's spacing (N,) in mm: mean distance to the nearest, the median of these and the taxel's own."""
     if array.size == 1:

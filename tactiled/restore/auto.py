@@ -23,15 +23,11 @@ from tactiled.restore.wiener import Filter, Wiener
 WORTH = 0.005  # 0.02 spares 4 % of the time, and in 0.2 % noise costs a sixth more error
 RAW_WORTH = 0.02  # the same for the raw image: below that no model of a thin cover is right often enough
 SUM_SIGMAS = 4.0  # standard deviations of a sum over taxels that count as more than noise
-EDGE_SIGMAS = 4.0  # standard deviations that a frame is higher on its border than RIM taxels within
-RIM = 2  # taxels
 FIRST_SIGMAS = 1e4  # standard deviations of a load that is restored before any frame
-EDGE_SIDE = 8  # taxels a side: a smaller array is border for the most part
 
 IDLE = "no contact above the noise"
 RAW = "what the cover took and the noise added is {:.1%} of the frame"
 SPOTS = "small spots under a thin cover: the frame does not tell where on their taxels they are"
-PAST_EDGE = "a contact's middle is past the edge: what presses outside cannot be told"
 WIENER = "smooth contact: {:.1%} of the Wiener-filtered image is below zero"
 SHARP = "sharp contact: {:.1%} of the Wiener-filtered image is below zero"
 LOADS = "isolated indenters: {} explain the frame down to its noise"
@@ -46,11 +42,11 @@ class Auto:
         self._sharp = _sharp(scene, self._wiener)
         is_learned = isinstance(self._sharp, learned.Learned)
         self.loads = Points(scene, LEARNED_SPREAD_CELLS) if is_learned else Points(scene)
-        size = scene.flat.size
+        size = scene.size
         self._taxel_ones = np.ones(size, np.float32)
         self._peak = detection_threshold(scene.noise, size)
         self._sum = SUM_SIGMAS * scene.noise * sqrt(size)
-        self._unrefined = scene.blur.frame_shape == scene.blur.surface_shape
+        self._unrefined = scene.array.frame_shape == scene.array.surface_shape
         self._too_thin = self._unrefined and self.loads.unavailable == TOO_THIN
         self._below = np.empty(scene.blur.surface_shape, np.float32)
         zeros = np.zeros(scene.blur.surface_shape, np.float32)
@@ -61,9 +57,9 @@ class Auto:
     def prepare(self) -> None:
         """Make now what any frame may need."""
         self._scene.prepare(self._wiener.filter, self._scene.resolution, self._sharp.prepare)
-        load = np.zeros(self._scene.blur.surface_shape, np.float32)
+        load = np.zeros(self._scene.array.surface_shape, np.float32)
         load[tuple(n // 2 for n in load.shape)] = FIRST_SIGMAS * self._scene.noise
-        y = self._scene.blur.forward(load)
+        y = np.ascontiguousarray(self._scene.array.forward(load))
         self._scene.measure_range(y)
         self(y)  # memory costs most when it is first written to
         self._scene.look_at_nothing()
@@ -97,37 +93,26 @@ class Auto:
         filter_, resolution = self._wiener.filter(), self._scene.resolution()
         spared = self._spared(filter_) if self._unrefined else 1.0
         if spared < RAW_WORTH:
-            return Restored(y, "raw", RAW.format(spared), 0, 1.0, resolution)
+            return Restored(self._scene.raw(), "raw", RAW.format(spared), 0, 1.0, resolution)
         if self._too_thin and self._scene.spotted:
-            return Restored(y, "raw", SPOTS, 0, 1.0, resolution)
-        if self._unrefined and self._is_past_edge(y):
-            return Restored(y, "raw", PAST_EDGE, 0, 1.0, resolution)
+            return Restored(self._scene.raw(), "raw", SPOTS, 0, 1.0, resolution)
         linear = self._wiener()
         negative = self._negative(linear)
         if negative < WORTH:
             return Restored(linear, "wiener", WIENER.format(negative), 0, self._wiener.noise_gain, resolution)
         sharp = self._sharp
         done = sharp(linear)
-        steps = self.loads(y, sharp.image)
+        steps = self.loads(y, self._scene.inside(sharp.image))
         if steps and self.loads.loads:
             drawing, why = self.loads.drawing, LOADS.format(len(self.loads.loads.force))
             return Restored(drawing.image, "points", why, done + steps, drawing.noise_gain, resolution)
-        gain = pressed_noise_gain(sharp.image, self._wiener.noise_gain)
+        gain = pressed_noise_gain(self._scene.inside(sharp.image), self._wiener.noise_gain)
         return Restored(sharp.image, sharp.name, SHARP.format(negative), done, gain, resolution)
-
-    def _is_past_edge(self, y: Image) -> bool:
-        """Whether a frame of a grid is highest on its border, and rises to there."""
-        if y.ndim != 2 or min(y.shape) < EDGE_SIDE:
-            return False
-        at = divmod(int(y.argmax()), y.shape[1])
-        if not any(place in (0, n - 1) for place, n in zip(at, y.shape, strict=True)):
-            return False
-        return y.item(at) - float(y[RIM:-RIM, RIM:-RIM].max()) > EDGE_SIGMAS * self._scene.noise
 
     def _spared(self, filter_: Filter) -> float:
         """What the cover took and the noise added that a filter takes back, as a share of the frame's norm."""
         scene = self._scene
-        noise = max(1 - filter_.noise_gain**2, 0.0) * scene.noise**2 * scene.flat.size
+        noise = max(1 - filter_.noise_gain**2, 0.0) * scene.noise**2 * scene.size
         return sqrt((filter_.correction(scene.power) + noise) / max(scene.square, 1e-30))
 
     def _negative(self, linear: Image) -> float:

@@ -1,6 +1,7 @@
 """The blur H of a cover, from surface pressure to taxels and back: for a grid, or for any layout."""
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cache, cached_property
 from typing import Any
 
@@ -31,6 +32,7 @@ class Blur:
     forward: Apply  # H x
     adjoint: Apply  # H' y
     thickness_error: float = THICKNESS_ERROR  # relative standard deviation of the cover's thickness
+    wide: "Wide | None" = None  # where the surface goes on beyond the taxels, or has finer cells
 
     @cached_property
     def modes(self) -> Modes:
@@ -67,7 +69,11 @@ class MatrixBlur(Blur):
         self.forward, self.adjoint = _product(matrix.T), _product(matrix)
 
     def __reduce__(self) -> Any:
-        return MatrixBlur, (self._matrix, self.cell_mm), {"thickness_error": self.thickness_error}
+        return (
+            MatrixBlur,
+            (self._matrix, self.cell_mm),
+            {"thickness_error": self.thickness_error, "wide": self.wide},
+        )
 
     @cached_property
     def modes(self) -> Modes:
@@ -91,7 +97,8 @@ class GridBlur(Blur):
 
     def __reduce__(self) -> Any:
         arguments = self._stencil.__wrapped__, self._shape, self._refine, self.cell_mm
-        return GridBlur, arguments, {"thickness_error": self.thickness_error}
+        state = {"thickness_error": self.thickness_error, "wide": self.wide}
+        return GridBlur, arguments, state
 
     @cached_property
     def modes(self) -> Modes:
@@ -131,6 +138,29 @@ class GridBlur(Blur):
         part = GridBlur(middle, shape, self._refine, self.cell_mm)
         part.thickness_error = self.thickness_error
         return part
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Wide:
+    """The surface that an array's frames are restored on: a raster of square cells, with a taxel on each."""
+
+    blur: GridBlur
+    own: tuple[slice, ...]  # the cells that are the array's
+    felt: Floats | None = (
+        None  # (N, R C): what each of its taxels feels of every cell; None: they are these cells'
+    )
+    shown: Floats | None = None  # (M, R C): of cells that are no squares of the raster; None: they are these
+
+    @property
+    def covered(self) -> NDArray[np.bool_]:
+        """Which cells (R, C) are of the array's own image."""
+        there = np.zeros(self.blur.surface_shape, bool)
+        there[self.own] = True
+        return there if self.shown is None else (self.shown > 0).any(axis=0).reshape(there.shape)
+
+    def image(self, wide: Array) -> Array:
+        """Give the array's own image from one of all cells (R, C)."""
+        return wide[self.own] if self.shown is None else self.shown.astype(wide.dtype) @ wide.reshape(-1)
 
 
 def _product(right: Floats) -> Apply:

@@ -20,7 +20,7 @@ def deviation(scene: Scene, image: Image | None = None) -> Floats:
     modes, spectrum = scene.modes, scene.spectrum
     variance = spectrum.ratio.copy()
     S, h = variance[modes.head], modes.gain
-    model = modes.gain_variance(0.0 if image is not None else scene.blur.thickness_error**2)
+    model = modes.gain_variance(0.0 if image is not None else scene.thickness_error**2)
     if scene.blur.aliasing:
         model = model + scene.blur.aliasing.variance(spectrum.fall)
     weight = wiener_weight(scene)
@@ -30,11 +30,11 @@ def deviation(scene: Scene, image: Image | None = None) -> Floats:
     spread = np.sqrt(squares[0] @ variance if len(squares) == 1 else squares[0] @ variance @ squares[1].T)
     if image is None:
         return np.asarray(spread, float)
-    spread = np.hypot(spread, scene.blur.thickness_error * _slope_in_thickness(scene, image))
+    spread = np.hypot(spread, scene.thickness_error * _slope_in_thickness(scene, image))
     if scene.spotted:
         from scipy.ndimage import gaussian_filter  # which nothing else imports that starts a service
 
-        refine = image.shape[0] // scene.blur.frame_shape[0]
+        refine = max(round(image.shape[0] / scene.array.frame_shape[0]), 1)
         about = gaussian_filter(np.abs(image), MISPLACED * refine) if image.ndim > 1 else np.abs(image)
         spread = np.hypot(spread, MISPLACED * about)
     return np.asarray(spread, float)
@@ -50,9 +50,6 @@ def _slope_in_thickness(scene: Scene, image: Image) -> Floats:
 
 
 def raw_deviation(scene: Scene, wiener: Wiener) -> Floats:
-    """Give it for the raw image: the linear one's, and what `wiener` would change."""
-    synthesise = scene.modes.to_taxels()
-    raw = synthesise(scene.c, synthesise.empty())
-    for axis, cells in enumerate(scene.blur.surface_shape):
-        raw = np.repeat(raw, cells // raw.shape[axis], axis)
-    return np.asarray(np.hypot(deviation(scene, raw), raw - wiener()), float)
+    """Give it for the raw image of the array: the linear one's, and what `wiener` would change."""
+    raw, linear = scene.raw(), wiener()
+    return np.asarray(np.hypot(scene.inside(deviation(scene, linear)), raw - scene.inside(linear)), float)

@@ -4,7 +4,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactiled.frames import SATURATED, UNKNOWN
-from tactiled.restore.modes import Floats, Image, Transform
+from tactiled.restore.kriging import Gaps
+from tactiled.restore.modes import Floats, Image
 from tactiled.restore.noise import IMPLAUSIBLE_KPA
 from tactiled.restore.prior import Spectrum
 from tactiled.restore.scene import Scene
@@ -12,8 +13,6 @@ from tactiled.restore.solvers import conjugate_gradients
 
 MAX_ITERATIONS = 12  # of conjugate gradients: a lone dead taxel needs two or three
 SPECTRUM = (0.04, 1.5, 1e4)  # corner (cycles a cell), power, level over the noise: it fills a frame first
-MAX_COVARIANCE_TAXELS = 1024  # inferred ones of which the deviation knows: their matrix has 8 MB
-ROUGHNESS_TAXELS = 1.0  # standard deviation of the Gaussian in which roughness is measured
 MAX_ROUGHNESS = 1e4  # and its inverse the least
 
 
@@ -29,14 +28,9 @@ class Inpainter:
     def __init__(self, scene: Scene) -> None:
         modes, self._scene = scene.modes, scene
         q0, p, level = SPECTRUM
+        q0 *= scene.array.frame_shape[0] / scene.array.surface_shape[0]
         self._first = Spectrum(level, (1 + (modes.frequency / q0) ** 2) ** -p, q0, p)
-        self._precisions: dict[Spectrum, Image] = {}
-        cells = ROUGHNESS_TAXELS * scene.blur.surface_shape[0] / scene.blur.frame_shape[0]
-        self._low_pass = np.exp(-2 * (np.pi * cells * modes.frequency[modes.head]) ** 2).astype(np.float32)
-        self._analyse, self._synthesise = modes.to_taxel_modes(), modes.to_taxels()
-        self._diagonal = Transform(tuple(basis**2 for basis in modes.taxel))  # of U diag(values) U'
-        self._modes, self._product = self._analyse.empty(), self._synthesise.empty()
-        self._frame, self._reading = self._synthesise.empty(), self._synthesise.empty()
+        self._frame, self._reading = (np.empty(scene.array.frame_shape, np.float32) for _ in range(2))
         self._unknown, self._bounded, self._missing = np.zeros((3, *self._frame.shape), bool)
         self._spectrum = self._first  # S by which the last frame was filled
 
@@ -70,7 +64,7 @@ class Inpainter:
         self._missing[...] = (lost | self._noisy) & (not lost.all())
         self._weight = np.where(lost, np.float32(0), self._own)[self._missing]
         self._infer(self._first, self._weight)
-        self._spectrum = self._scene.prior.pick(self._analyse(self._frame, self._modes))
+        self._spectrum = self._scene.prior.pick(self._frame)
         self._infer(self._spectrum, self._weight)
         if self.weighs:
             self._infer(self._spectrum, self._weight * self._roughness()[self._missing])
@@ -79,30 +73,18 @@ class Inpainter:
 
     def deviation(self) -> Floats:
         """Standard deviation (kPa) of every cell due to the taxels that `fill` inferred, by the linear filter."""
-        missing, modes, values = self._missing, self._scene.modes, self._precision(self._spectrum)
-        variance, synthesise = np.zeros(self._scene.blur.surface_shape), modes.head_to_surface()
-        if np.count_nonzero(missing) > MAX_COVARIANCE_TAXELS:
-            return variance
-        bases = [basis[taxels] for basis, taxels in zip(modes.taxel, np.nonzero(missing), strict=True)]
-        patterns = bases[0] if len(bases) == 1 else bases[0][:, :, None] * bases[1][:, None, :]
-        flat = patterns.reshape(len(patterns), modes.gain.size)
-        rough = np.sqrt(self._roughness()[missing].astype(float))
-        Q = (flat * values.ravel()) @ flat.T / np.outer(rough, rough)
-        errors = np.linalg.cholesky(np.linalg.inv(Q + np.diag(self._weight))).T @ flat
-        weight = modes.gain * self._spectrum.ratio[modes.head] * values
-        for error in errors.reshape(patterns.shape):
-            variance += synthesise(np.asarray(weight * error, np.float32), synthesise.empty()) ** 2
-        return np.asarray(self._scene.noise * np.sqrt(variance))
+        gaps = Gaps(self._missing, self._weight.astype(float), self._roughness().astype(float))
+        return self._scene.unfelt(self._spectrum, gaps)
 
     def _infer(self, spectrum: Spectrum, D: Image) -> None:
-        missing, Q = self._missing, self._precision(spectrum)
+        missing, precise = self._missing, self._scene.kriging.precise
         self._frame[missing] = 0
-        right = D * self._reading[missing] - self._apply(Q, self._frame)[missing]
+        right = D * self._reading[missing] - precise(self._frame, spectrum)[missing]
 
         def system(v: Image) -> Image:
             spread = np.zeros(self._frame.shape, np.float32)
             spread[missing] = v
-            return np.asarray(self._apply(Q, spread)[missing] + D * v)
+            return np.asarray(precise(spread, spectrum)[missing] + D * v)
 
         self._frame[missing] = conjugate_gradients(system, right, MAX_ITERATIONS)
 
@@ -111,23 +93,9 @@ class Inpainter:
 
         Taxel i differs by (Q y)_i / Q_ii from what all others say of it, which has the variance sigma^2 / Q_ii.
         """
-        Q, sound = self._precision(self._spectrum), ~self._missing
-        standard = self._apply(Q, self._frame) / np.float32(self._scene.noise)
-        measured = self._apply(self._low_pass, sound * standard**2).copy()
-        expected = self._apply(self._low_pass, sound * self._diagonal(Q, self._diagonal.empty()))
+        kriging, sound = self._scene.kriging, ~self._missing
+        standard = kriging.precise(self._frame, self._spectrum) / np.float32(self._scene.noise)
+        measured = kriging.smooth(sound * standard**2).copy()
+        expected = kriging.smooth(np.asarray(sound * kriging.precision(self._spectrum), np.float32))
         ratio = measured / np.maximum(expected, np.finfo(np.float32).tiny)
         return np.asarray(np.clip(ratio, 1 / MAX_ROUGHNESS, MAX_ROUGHNESS))
-
-    def _precision(self, spectrum: Spectrum) -> Image:
-        """1 / (h^2 S + 1) of every taxel mode: the eigenvalues of Q times the noise's variance."""
-        if spectrum not in self._precisions:
-            scene, S = self._scene, spectrum.ratio[self._scene.modes.head]
-            variance = scene.modes.gain**2 * S + 1 + scene.gain_variance * S
-            self._precisions[spectrum] = np.asarray(1 / variance, np.float32)
-        return self._precisions[spectrum]
-
-    def _apply(self, values: Image, y: Image) -> Image:
-        """U diag(values) U' y, valid until the next call."""
-        self._analyse(y, self._modes)
-        np.multiply(self._modes, values, out=self._modes)
-        return self._synthesise(self._modes, self._product)

@@ -30,7 +30,7 @@ MIN_GAIN = 1e-4  # at those: less is not told apart
 SLACK = 0.02  # by which their roots may be outside those in training
 OF_FRAME = 5  # conditions of the frame; those of the cover follow
 FIRMNESS = 5.0, 3.0  # a firmness is the noise's variance times exp(5 tuned + 3)
-MIN_SIDE = 8  # taxels: on a smaller array most of a kernel's surroundings are its border
+MIN_SIDE = 6  # taxels, with those beyond the border
 
 
 class Weights(NamedTuple):

@@ -41,9 +41,9 @@ class Restorer:
         self.weigh(noise_ratio)
         self._method = METHODS[method](self._scene)
         self.prepare = self._method.prepare
-        self._no_data = Restored(
-            np.zeros(blur.surface_shape, np.float32), "idle", NO_DATA, 0, 0.0, self._scene.widest_mm
-        )
+        nothing = np.zeros(self._scene.blur.surface_shape, np.float32)
+        self._no_data = Restored(nothing, "idle", NO_DATA, 0, 0.0, self._scene.widest_mm)
+        self._image = np.zeros(blur.surface_shape, np.float32)
         self._empty = self._filled = False  # the last frame
 
     def __call__(
@@ -64,21 +64,30 @@ class Restorer:
             y = self._inpainter.mask(y, flags)
             if self._inpainter.is_empty():
                 self._empty = True
-                return self._no_data
+                return self._own(self._no_data)
             scene.measure_range(y)
             if not self._method.is_idle(y):
                 y, self._filled = self._inpainter.fill(), True
                 scene.measure_range(y)
         scene.expired, scene.cut_short = expired, False
-        done = self._method(y)
+        done = self._own(self._method(y))
         return done._replace(cut_short=True) if scene.cut_short else done
+
+    def _own(self, done: Restored) -> Restored:
+        """Give what was restored without what lies beyond the array."""
+        if done.image.shape == self._image.shape:
+            return done
+        np.copyto(self._image, self._scene.inside(done.image))
+        return done._replace(image=self._image)
 
     def deviation(self) -> Floats:
         """Standard deviation (kPa) of every cell of the image last restored; NaN if no taxel had data."""
         if self._empty:
-            return np.full(self._no_data.image.shape, np.nan)
-        spread = self._method.deviation()
-        return np.hypot(spread, self._inpainter.deviation()) if self._filled else spread
+            return np.full(self._image.shape, np.nan)
+        scene, spread = self._scene, self._method.deviation()
+        unfelt = self._inpainter.deviation() if self._filled else scene.unfelt(scene.spectrum)
+        inside = spread if spread.shape == self._image.shape else scene.inside(spread)
+        return np.asarray(np.hypot(inside, scene.inside(unfelt)), float)
 
 
 def require(name: str) -> None:
@@ -127,18 +136,9 @@ class Linear:
 
 
 class _Raw(Linear):
-    def __init__(self, scene: Scene) -> None:
-        super().__init__(scene)
-        taxels, cells = scene.blur.frame_shape, scene.blur.surface_shape
-        self._cells = np.empty(cells, np.float32)
-        self._blocks = self._cells.reshape(
-            [each for m, n in zip(taxels, cells, strict=True) for each in (m, n // m)]
-        )
-
     def __call__(self, y: Image) -> Restored:
         self._scene.look(y)
-        self._blocks[...] = y.reshape([each for m in y.shape for each in (m, 1)])
-        return self._done(self._cells, "raw", 0, 1.0)
+        return self._done(self._scene.raw(), "raw", 0, 1.0)
 
     def prepare(self) -> None:
         """Nothing is needed."""
@@ -155,7 +155,7 @@ class _RichardsonLucy(Linear):
 
     def __call__(self, y: Image) -> Restored:
         self._scene.look(y)
-        done = self._solver(y)
+        done = self._solver(self._scene.frame)
         return self._done(self._solver.image, self._name, done, self._wiener.filter().noise_gain)
 
 
@@ -172,7 +172,7 @@ class _Nonnegative(Linear):
     def __call__(self, y: Image) -> Restored:
         self._scene.look(y)
         done = self._solver(self._wiener())
-        gain = pressed_noise_gain(self._solver.image, self._wiener.noise_gain)
+        gain = pressed_noise_gain(self._scene.inside(self._solver.image), self._wiener.noise_gain)
         return self._done(self._solver.image, self._name, done, gain, self._why)
 
     def prepare(self) -> None:
@@ -194,7 +194,7 @@ class _Points(_Nonnegative):
 
     def __call__(self, y: Image) -> Restored:
         done, drawing = super().__call__(y), self._points.drawing
-        steps = self._points(y, done.image)
+        steps = self._points(y, self._scene.inside(done.image))
         if steps and self._points.loads:
             why = LOADS.format(len(self._points.loads.force))
             return self._done(drawing.image, "points", done.iterations + steps, drawing.noise_gain, why)
@@ -205,7 +205,7 @@ class _Points(_Nonnegative):
 
 
 def _auto(scene: Scene) -> Auto | Windowed:
-    return Windowed(scene) if fits(scene.blur) else Auto(scene)
+    return Windowed(scene) if fits(scene.array) else Auto(scene)
 
 
 METHODS: dict[str, Callable[[Scene], Linear | Auto | Windowed]] = {

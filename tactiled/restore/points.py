@@ -62,7 +62,7 @@ class Points:
 
     def __init__(self, scene: Scene, spread_cells: float = MAX_SPREAD_CELLS) -> None:
         """`spread_cells`: how many a load's pressure may be spread over in the images that fits start from."""
-        blur = scene.blur
+        blur = scene.array
         self._scene = scene
         response = blur.response if min(blur.frame_shape) >= MIN_SIDE else None
         self.unavailable = NO_GRID if response is None else ""  # why no points are ever fitted
@@ -71,7 +71,7 @@ class Points:
             self.unavailable = TOO_THIN
         elif response is not None:
             self._fitter = Fitter(response, scene.noise, scene.cut)
-        self._unexplained = np.empty(scene.flat.size, np.float32)
+        self._unexplained = np.empty(scene.size, np.float32)
         surface = blur.surface_shape if self._fitter else (1, 1)  # where nothing is fitted nothing is drawn
         self._refine = k = blur.surface_shape[0] // blur.frame_shape[0]
         self._widest = spread_cells * k**2  # cells
@@ -177,7 +177,7 @@ class Points:
     def _raw_is_near(self, y: Image) -> bool:
         """Whether the raw image may be nearer to the truth than the points just drawn, were one of them two."""
         image, k = self.drawing.image, self._refine
-        rows, columns = self._scene.blur.frame_shape
+        rows, columns = self._scene.array.frame_shape
         square = float(np.vdot(image, image))
         both = float(np.einsum("ij,ikjl->", y.reshape(rows, columns), image.reshape(rows, k, columns, k)))
         return k**2 * float(y.dot(y)) - 2 * both + square < RAW_ERROR**2 * square

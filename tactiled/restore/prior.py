@@ -5,13 +5,14 @@ variance h^2 S + sigma^2. Of a fixed family of (A, q0, p) the most likely one is
 modes pooled in blocks: a small matrix product a frame, and no cross-validation that small arrays mislead.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
 from numpy.typing import NDArray
 
-from tactiled.restore.modes import Floats, Image, Modes
+from tactiled.restore.modes import Floats, Image, Modes, Transform
 
 # The family was chosen on the scenes of `python -m tests.study judge --family first`.
 CORNERS = (0.02, 0.06, 0.2, 0.6)  # q0, cycles a cell: from one wide press to points
@@ -42,13 +43,22 @@ class Spectrum:
 class Prior:
     """The family of spectra for one blur and one noise; `pick` is allocation-free."""
 
-    def __init__(self, modes: Modes, noise: float, gain_variance: Floats) -> None:
-        """`gain_variance` of each taxel mode's gain, as the cover's model may be wrong."""
-        self._first = [_half_octaves(n) for n in modes.gain.shape]
-        indicators = [_indicator(n, first) for n, first in zip(modes.gain.shape, self._first, strict=True)]
+    def __init__(
+        self,
+        modes: Modes,
+        noise: float,
+        gain_variance: Floats,
+        bases: tuple[Floats, ...],
+        variances: Callable[[Spectrum], Floats],
+    ) -> None:
+        """`gain_variance` of each taxel mode's gain, as the cover's model may be wrong; the rest as in Kriging."""
+        self._analyse = Transform(tuple(basis.T for basis in bases))
+        own_shape = self._analyse.shape
+        self._first = [_half_octaves(n) for n in own_shape]
+        indicators = [_indicator(n, first) for n, first in zip(own_shape, self._first, strict=True)]
         self._rows = indicators[0]
         self._columns = np.ascontiguousarray(indicators[1].T) if len(indicators) == 2 else None
-        count = self._pool(np.ones(modes.gain.shape))
+        count = self._pool(np.ones(own_shape))
         self.spectra: list[Spectrum] = []  # their levels rise
         costs: list[list[float]] = []
         shapes = [((1 + (modes.frequency / q0) ** 2) ** -p, q0, p) for q0, p in product(CORNERS, POWERS)]
@@ -58,15 +68,15 @@ class Prior:
             amplification = float((modes.gain * S / (modes.gain**2 * S + 1 + gain_variance * S)).max())
             if amplification > MAX_AMPLIFICATION and costs:
                 continue
-            v = noise**2 * (modes.gain**2 * S + 1 + gain_variance * S)
+            v = noise**2 * variances(spectrum)
             # The logarithms ride along as one more block, whose power is always 1.
             costs.append([*(self._pool(1 / v) / count).ravel(), np.log(v).sum()])
             self.spectra.append(spectrum)
         self._cost_of = np.array(costs, np.float32, order="F")  # BLAS runs down columns sooner than along rows
-        self.squares = np.empty(modes.gain.shape, np.float32)
+        self._squares = self._analyse.empty()
         self._blocks = np.ones(count.size + 1, np.float32)
         self._power = self._blocks[:-1].reshape(count.shape)
-        self._between = np.empty((len(self._rows), *modes.gain.shape[1:]), np.float32)
+        self._between = np.empty((len(self._rows), *own_shape[1:]), np.float32)
         self._cost = np.empty(len(self._cost_of), np.float32)
 
     def _pool(self, values: Floats) -> Floats:
@@ -75,13 +85,14 @@ class Prior:
             values = np.add.reduceat(values, first, axis=axis)
         return np.asarray(values, float)
 
-    def pick(self, c: Image) -> Spectrum:
-        """Give the most likely spectrum for taxel modes' coefficients."""
-        np.multiply(c, c, out=self.squares)
+    def pick(self, y: Image) -> Spectrum:
+        """Give the most likely spectrum for a frame without gaps."""
+        squares = self._analyse(y, self._squares)
+        np.multiply(squares, squares, out=squares)
         if self._columns is None:
-            self._rows.dot(self.squares, self._power)
+            self._rows.dot(squares, self._power)
         else:
-            self._rows.dot(self.squares, self._between)
+            self._rows.dot(squares, self._between)
             self._between.dot(self._columns, self._power)
         self._cost_of.dot(self._blocks, self._cost)
         return self.spectra[self._cost.argmin()]

@@ -52,6 +52,6 @@ class RichardsonLucy:
         done = richardson_lucy(
             self._forward, self._adjoint, lifted, image, self._weight, limit, stop, self._accelerate
         )
-        scale = scene.force_scale(scene.force - float(np.vdot(scene.blur.reach, image)))
+        scale = scene.force_scale(scene.force - float(np.vdot(scene.cell_reach, image)))
         np.multiply(image, np.float32(scale), out=image)
         return done

@@ -1,13 +1,15 @@
 """One frame in the blur's modes: what every method starts from."""
 
 from collections.abc import Callable
-from math import prod
-from typing import NamedTuple
+from math import prod, sqrt
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from tactiled.restore.blur import THICKNESS_ERROR, Blur
-from tactiled.restore.modes import Image
+from tactiled.restore.kriging import Gaps, make
+from tactiled.restore.modes import Floats, Image
 from tactiled.restore.prior import CORNERS, Prior, Spectrum
 
 FORCE_BOUNDS = (0.5, 2.0)  # of the scale that restores the total force: outside it the force was not known anyway
@@ -44,35 +46,49 @@ def pressed_noise_gain(image: Image, linear: float) -> float:
 
 
 class Scene:
-    """Holds the newest frame's modes, the spectrum picked for it, and its force; allocates nothing a frame."""
+    """Holds the newest frame's modes, the spectrum picked for it, and its force; allocates nothing a frame.
 
-    def __init__(self, blur: Blur, noise: float) -> None:
-        self.blur, self.noise = blur, noise
+    Frames are the array's; `blur`, modes and images are those of the wide grid where its cover goes on.
+    """
+
+    def __init__(self, array: Blur, noise: float) -> None:
+        blur = array.wide.blur if array.wide else array
+        self.array, self.blur, self.noise = array, blur, noise
         self.modes = blur.modes
         # The filters' constants allow for the rest.
-        excess = max(blur.thickness_error**2 - THICKNESS_ERROR**2, 0.0)
+        self.thickness_error = array.thickness_error
+        excess = max(array.thickness_error**2 - THICKNESS_ERROR**2, 0.0)
         self.gain_variance = self.modes.gain_variance(excess)  # of the cover's model, that filters are to count
-        self.prior = Prior(self.modes, noise, self.gain_variance)
+        self.kriging = make(array, self.modes, self.gain_variance)
+        completed = self.kriging.bases, self.kriging.variances
+        self.prior = Prior(self.modes, noise, self.gain_variance, *completed)
         self._analyse = self.modes.to_taxel_modes()
         self.c = self._analyse.empty()
         self.flat = self.c.reshape(-1)
         self.expired: Callable[[], bool] = never  # whether the time for this frame's image is over
         self.cut_short = False  # whether that ended an iteration
-        ones = np.ones(blur.frame_shape, np.float32)
+        ones = np.zeros(blur.frame_shape, np.float32)
+        ones[array.wide.covered if array.wide else ...] = 1
         self.ones = self._analyse(ones, self._analyse.empty()).reshape(-1)
         analyse = self.modes.to_surface_modes()
-        of_modes = analyse(blur.reach, analyse.empty())
+        self.cell_reach = np.asarray(
+            blur.adjoint(ones), np.float32
+        )  # of each cell's pressure that the taxels feel
+        of_modes = analyse(self.cell_reach, analyse.empty())
         self.reach = of_modes[self.modes.head].ravel()  # total force of each mode, by the blur
-        noise_of_sum = noise * float(np.sqrt(ones.size))
+        self.size = prod(array.frame_shape)  # taxels
+        noise_of_sum = noise * float(ones.sum()) / sqrt(self.size)
         self._force_variance = noise_of_sum**2
         self._force_clear = FORCE_CLEAR_SIGMAS * noise_of_sum
         self._force_agrees = FORCE_AGREES_SIGMAS * noise_of_sum
-        self.power = self.prior.squares.reshape(-1)  # c squared
+        self.squares = self._analyse.empty()  # c squared
+        self.power = self.squares.reshape(-1)
         self.spectrum = self.prior.spectra[0]
         self.high = self.low = 0.0  # kPa, the frame's largest and smallest
-        self._reach, self._pressed = blur.reach.reshape(-1), np.empty(blur.reach.size, np.float32)
+        self._reach, self._pressed = self.cell_reach.reshape(-1), np.empty(self.cell_reach.size, np.float32)
         self._factor, self._zeros = np.zeros((), np.float32), np.zeros_like(self._pressed)
         self._resolution: dict[Spectrum, float] = {}
+        self._unfelt: dict[Spectrum, Image] = {}
         self.widest_mm = blur.cell_mm * max(blur.surface_shape)
 
     def cut(self) -> bool:
@@ -86,12 +102,34 @@ class Scene:
 
     def look(self, y: Image) -> None:
         """Take in a frame without gaps."""
-        self._analyse(y, self.c)
-        self.spectrum = self.prior.pick(self.c)
+        self.y = y
+        self.spectrum = self.prior.pick(y)
+        self.frame = self.kriging(y, self.spectrum)
+        self._analyse(self.frame, self.c)
+        np.multiply(self.c, self.c, out=self.squares)
 
     def look_at_nothing(self) -> None:
         """Take in that there is no pressure."""
         self.spectrum = self.prior.spectra[0]
+
+    def inside(self, image: NDArray[Any]) -> NDArray[Any]:
+        """Give the array's own part of an image (R, C) of the surface."""
+        return self.array.wide.image(image) if self.array.wide else image
+
+    def raw(self) -> Image:
+        """Give the frame itself as an image of the array."""
+        y, shape = self.y, self.array.surface_shape
+        for axis, cells in enumerate(shape):
+            y = y if y.shape[axis] == cells else np.repeat(y, cells // y.shape[axis], axis)
+        return y
+
+    def unfelt(self, spectrum: Spectrum, gaps: Gaps | None = None) -> Floats:
+        """Standard deviation (kPa) of every cell of the linear image due to what no taxel reads."""
+        if gaps is not None:
+            return np.asarray(self.noise * np.sqrt(self.kriging.unfelt(spectrum, gaps)))
+        if spectrum not in self._unfelt:
+            self._unfelt[spectrum] = np.asarray(np.sqrt(self.kriging.unfelt(spectrum)), np.float32)
+        return self.noise * self._unfelt[spectrum].astype(float)
 
     def prepare(self, *make: Callable[[], object]) -> None:
         """Make what any spectrum needs now rather than in the frame that first shows it, where there is room."""

@@ -60,7 +60,7 @@ class Wiener:
     def __call__(self) -> Image:
         """Give the surface pressure, total force kept; may be negative."""
         scene, filter_, band = self._scene, self.filter(), self._band
-        if band and filter_.limit is not None and band(scene.prior.squares, filter_.limit, filter_.weight):
+        if band and filter_.limit is not None and band(scene.squares, filter_.limit, filter_.weight):
             weight = band.weight.reshape(-1)
             np.multiply(scene.c, band.weight, out=self._modes)
             missed = scene.force - float(scene.reach.dot(self._modes.reshape(-1)))

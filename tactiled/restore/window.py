@@ -32,17 +32,18 @@ class Windowed:
     """
 
     def __init__(self, scene: Scene) -> None:
-        blur = scene.blur
+        blur = scene.array
         assert isinstance(blur, GridBlur)
         self._scene, self._full = scene, Auto(scene)
         self._part_scene = Scene(blur.cut((SIDE, SIDE)), scene.noise)
         self._part = Auto(self._part_scene)
         self._refine = blur.surface_shape[0] // blur.frame_shape[0]
         self._crop, self._around = np.empty((SIDE, SIDE), np.float32), np.empty(blur.frame_shape, np.float32)
+        self._own = blur.wide.own if blur.wide else (slice(0), slice(0))
         self._flat, self._ones = self._around.reshape(-1), np.ones(self._around.size, np.float32)
-        self._image = np.zeros(blur.surface_shape, np.float32)
+        self._image = np.zeros(scene.blur.surface_shape, np.float32)
         self._pressed = np.empty(blur.frame_shape, bool)
-        self._peak = detection_threshold(scene.noise, scene.flat.size)
+        self._peak = detection_threshold(scene.noise, scene.size)
         self.used = False  # whether the last image came from a window
         self._taxels = self._inside = self._cells = (slice(0), slice(0))
         self.is_idle = self._full.is_idle
@@ -100,7 +101,11 @@ class Windowed:
         if not self._quiet(y):
             return False
         k = self._refine
-        self._cells = slice(k * rows[0].start, k * rows[0].stop), slice(k * columns[0].start, k * columns[0].stop)
+        down, across = (
+            slice(own.start + k * part.start, own.start + k * part.stop)
+            for own, part in zip(self._own, self._taxels, strict=True)
+        )
+        self._cells = down, across
         return True
 
 
@@ -110,5 +115,5 @@ def _place(pressed: "np.ndarray[tuple[int, ...], np.dtype[np.intp]]", n: int) ->
         return None
     first, last = int(pressed[0]), int(pressed[-1])
     start = min(max((first + last + 1 - SIDE) // 2, 0), n - SIDE)
-    inside = slice(start + MARGIN if start else 0, start + SIDE - MARGIN if start + SIDE < n else n)
+    inside = slice(start + MARGIN, start + SIDE - MARGIN)
     return (slice(start, start + SIDE), inside) if inside.start <= first and last < inside.stop else None
