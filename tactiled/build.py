@@ -2,7 +2,7 @@
 
 import logging
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
@@ -246,10 +246,11 @@ def make_array(sensor: schema.Sensor) -> Array:
         for key in ("rows", "columns", "pitch_mm"):
             if (value := getattr(array, key)) is not None:
                 raise ConfigError(f"array.{key} = {value}: belongs to a grid, and this array has positions")
-        return layout(positions, array.aperture_mm, array.aperture or "round")
+        return replace(layout(positions, array.aperture_mm, array.aperture or "round"), beyond=array.beyond_mm)
     if array.rows is None or array.columns is None or array.pitch_mm is None:
         raise ConfigError("array is incomplete: give rows, columns and pitch_mm, or positions_mm")
-    return grid(array.rows, array.columns, array.pitch_mm, array.aperture_mm, array.aperture or "square")
+    size = array.rows, array.columns, array.pitch_mm
+    return replace(grid(*size, array.aperture_mm, array.aperture or "square"), beyond=array.beyond_mm)
 
 
 def make_codec(sensor: schema.Sensor) -> Codec:

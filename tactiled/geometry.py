@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from tactiled.errors import ConfigError
 
 Aperture = Literal["square", "round"]
+Sides = tuple[float, float, float, float]
 
 NEIGHBOURS = 3  # nearest taxels whose mean distance is a layout's spacing
 RIM_SPACINGS = 0.7  # that a cell at the rim of a layout reaches out from its taxel
@@ -31,6 +32,7 @@ class Array:
     width: float
     aperture: Aperture = "square"
     shape: tuple[int, int] | None = None
+    beyond: Sides | None = None  # mm that the cover goes on above, below, left and right; None: as far as matters
 
     def __post_init__(self) -> None:
         """Refuse lengths that no array can have."""

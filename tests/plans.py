@@ -26,7 +26,7 @@ SHAPE = (12, 12)
 
 @cache
 def plan(
-    shape=SHAPE, thickness=1.0, *, refine=1, pitch=1.0, layout=False, substrate=False, model="layered"
+    shape=SHAPE, thickness=1.0, *, refine=1, pitch=1.0, layout=False, substrate=False, model="layered", beyond=True
 ) -> SensorPlan:
     """A sensor under rubber `thickness` pitches thick: a grid, or the same taxels as a list of positions."""
     rows, columns = shape
@@ -34,6 +34,8 @@ def plan(
     if layout:
         places = np.column_stack([each.ravel() for each in np.mgrid[:rows, :columns][::-1]]) * pitch
         array = f'positions_mm = {places.tolist()}, aperture = "square"'
+    if not beyond:
+        array += ", beyond_mm = [0, 0, 0, 0]"
     text = CONFIG.format(
         refine=refine, array=array, aperture=0.8 * pitch, thickness=thickness * pitch, model=model
     ) + (SUBSTRATE if substrate else "")

@@ -204,6 +204,9 @@ class Kernel(Section):
     """Largest error of the cover's gain."""
 
 
+Beyond = Annotated[float, Bounds(0.0, 1000.0, LENGTH)]
+
+
 def _check_norm(quaternion: Quaternion) -> Quaternion:
     """Refuse what is no rotation."""
     norm = math.hypot(*quaternion)
@@ -227,6 +230,9 @@ class Array(Section):
     """Side, or diameter, of the area that a taxel senses; left out: the smallest distance between two taxels."""
     aperture: Literal["square", "round"] | None = None
     """Shape of that area; left out: square on a grid, round otherwise."""
+    beyond_mm: tuple[Beyond, Beyond, Beyond, Beyond] | None = None
+    """How far the cover goes on beyond the taxels, `[above, below, left, right]`, 0 where a housing ends it; left
+    out: as far as it matters."""
     frame_id: FrameId | None = None
     """Frame of reference that the array is fixed in, such as a link of a robot; left out: not known."""
     origin_mm: tuple[Place, Place, Place] | None = None

@@ -37,6 +37,9 @@ class Kriging(Protocol):
     def variances(self, spectrum: Spectrum) -> Floats:
         """Give the variance of a frame's coefficients in `bases`, noise included."""
 
+    def amplification(self, spectrum: Spectrum) -> float:
+        """Give the most by which the linear image amplifies what taxels feel."""
+
     def precise(self, y: Image, spectrum: Spectrum) -> Image:
         """Give what is left of each taxel's reading that the others do not say, over its variance: C^-1 y."""
 
@@ -104,6 +107,11 @@ class Part(Kriging):
         """Give the variance of a frame's coefficients in `bases`, noise included."""
         v = self._shares[0] @ self._variance(spectrum)
         return np.asarray(v if len(self._shares) == 1 else v @ self._shares[1].T)
+
+    def amplification(self, spectrum: Spectrum) -> float:
+        """Give the most by which the linear image amplifies what taxels feel."""
+        S = spectrum.ratio[self._modes.head]
+        return float((self._modes.gain * S / self._variance(spectrum)).max())
 
     def precise(self, y: Image, spectrum: Spectrum) -> Image:
         """Give C^-1 y."""
@@ -202,6 +210,11 @@ class Anywhere(Kriging):
         S = spectrum.ratio.ravel()
         v = self._shares @ S + self._noise_shares @ (self._gain_variance * S) + 1
         return np.asarray(v.reshape(self._shape))
+
+    def amplification(self, spectrum: Spectrum) -> float:
+        """Give the most by which the linear image amplifies what taxels feel."""
+        S = spectrum.ratio.ravel()
+        return float((self._h * S / ((self._h**2 + self._gain_variance) * S + 1)).max())
 
     def precise(self, y: Image, spectrum: Spectrum) -> Image:
         """Give C^-1 y."""

@@ -47,11 +47,11 @@ class Prior:
         self,
         modes: Modes,
         noise: float,
-        gain_variance: Floats,
         bases: tuple[Floats, ...],
         variances: Callable[[Spectrum], Floats],
+        amplification: Callable[[Spectrum], float],
     ) -> None:
-        """`gain_variance` of each taxel mode's gain, as the cover's model may be wrong; the rest as in Kriging."""
+        """Give the surface's modes; the rest is as in Kriging."""
         self._analyse = Transform(tuple(basis.T for basis in bases))
         own_shape = self._analyse.shape
         self._first = [_half_octaves(n) for n in own_shape]
@@ -64,9 +64,7 @@ class Prior:
         shapes = [((1 + (modes.frequency / q0) ** 2) ** -p, q0, p) for q0, p in product(CORNERS, POWERS)]
         for level, shape in product(LEVELS, shapes):
             spectrum = Spectrum(level, *shape)
-            S = spectrum.ratio[modes.head]
-            amplification = float((modes.gain * S / (modes.gain**2 * S + 1 + gain_variance * S)).max())
-            if amplification > MAX_AMPLIFICATION and costs:
+            if amplification(spectrum) > MAX_AMPLIFICATION and costs:
                 continue
             v = noise**2 * variances(spectrum)
             # The logarithms ride along as one more block, whose power is always 1.

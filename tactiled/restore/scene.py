@@ -60,8 +60,8 @@ class Scene:
         excess = max(array.thickness_error**2 - THICKNESS_ERROR**2, 0.0)
         self.gain_variance = self.modes.gain_variance(excess)  # of the cover's model, that filters are to count
         self.kriging = make(array, self.modes, self.gain_variance)
-        completed = self.kriging.bases, self.kriging.variances
-        self.prior = Prior(self.modes, noise, self.gain_variance, *completed)
+        kriging = self.kriging
+        self.prior = Prior(self.modes, noise, kriging.bases, kriging.variances, kriging.amplification)
         self._analyse = self.modes.to_taxel_modes()
         self.c = self._analyse.empty()
         self.flat = self.c.reshape(-1)

@@ -39,7 +39,8 @@ class Windowed:
         self._part = Auto(self._part_scene)
         self._refine = blur.surface_shape[0] // blur.frame_shape[0]
         self._crop, self._around = np.empty((SIDE, SIDE), np.float32), np.empty(blur.frame_shape, np.float32)
-        self._own = blur.wide.own if blur.wide else (slice(0), slice(0))
+        self._own = blur.wide.own if blur.wide else tuple(slice(0, n) for n in blur.frame_shape)
+        self._goes_on = blur.wide is not None
         self._flat, self._ones = self._around.reshape(-1), np.ones(self._around.size, np.float32)
         self._image = np.zeros(scene.blur.surface_shape, np.float32)
         self._pressed = np.empty(blur.frame_shape, bool)
@@ -93,7 +94,8 @@ class Windowed:
         """Put the window around the contact; False where that has no room in it, or more is pressed elsewhere."""
         pressed = np.greater(y, CONTACT * self._peak, out=self._pressed)
         rows, columns = (
-            _place(np.flatnonzero(pressed.any(axis)), n) for axis, n in zip((1, 0), y.shape, strict=True)
+            _place(np.flatnonzero(pressed.any(axis)), n, self._goes_on)
+            for axis, n in zip((1, 0), y.shape, strict=True)
         )
         if rows is None or columns is None:
             return False
@@ -109,11 +111,16 @@ class Windowed:
         return True
 
 
-def _place(pressed: "np.ndarray[tuple[int, ...], np.dtype[np.intp]]", n: int) -> Slices | None:
-    """Window and its inside along an axis of n taxels, around those pressed; None where they do not fit in."""
+def _place(pressed: "np.ndarray[tuple[int, ...], np.dtype[np.intp]]", n: int, goes_on: bool) -> Slices | None:
+    """Window and its inside along an axis of n taxels, around those pressed; None where they do not fit in.
+
+    Where the surface `goes_on` beyond the border, no window does, so the contact must be clear of it.
+    """
     if not len(pressed):
         return None
     first, last = int(pressed[0]), int(pressed[-1])
     start = min(max((first + last + 1 - SIDE) // 2, 0), n - SIDE)
-    inside = slice(start + MARGIN, start + SIDE - MARGIN)
+    inside = slice(
+        start + MARGIN if goes_on or start else 0, start + SIDE - MARGIN if goes_on or start + SIDE < n else n
+    )
     return (slice(start, start + SIDE), inside) if inside.start <= first and last < inside.stop else None

@@ -6,10 +6,13 @@ from tests.plans import SHAPE, plan
 
 @pytest.fixture
 def covered():
-    """Blurs under a cover of `thickness` pitches: of a grid, or of the same taxels as a mere list of positions."""
+    """Blurs under a cover of `thickness` pitches: of a grid, or of the same taxels as a mere list of positions.
 
-    def make(shape=SHAPE, thickness=1.0, refine=1, layout=False):
-        return plan(shape, thickness, refine=refine, layout=layout).blur
+    The cover ends at the border, as the pressure of most tests does, unless it goes on `beyond` it.
+    """
+
+    def make(shape=SHAPE, thickness=1.0, refine=1, layout=False, beyond=False):
+        return plan(shape, thickness, refine=refine, layout=layout, beyond=beyond).blur
 
     return make
 

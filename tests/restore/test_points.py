@@ -47,7 +47,7 @@ def fitted(thickness, frame, sigma):
     scene.look(frame)
     nonnegative, points = Nonnegative(scene), Points(scene)
     nonnegative(Wiener(scene)())
-    if not points(frame, nonnegative.image):
+    if not points(frame, scene.inside(nonnegative.image)):
         return np.empty((0, 2)), np.empty(0)
     order = np.argsort(points.loads.places[:, 1])
     return points.loads.places[order, ::-1] * PITCH, 1e-3 * PITCH**2 * points.loads.force[order]

@@ -18,7 +18,7 @@ SIDE = 32
 
 @pytest.fixture
 def blur():
-    return plan((SIDE, SIDE)).blur
+    return plan((SIDE, SIDE), beyond=False).blur
 
 
 @pytest.fixture

@@ -1,6 +1,7 @@
 """Single presses at random places, blurred exactly: every scene of a family under every cover and noise."""
 
 from collections.abc import Iterator
+from copy import copy
 from dataclasses import dataclass
 from itertools import product
 
@@ -34,11 +35,12 @@ class Press:
 
 def presses(
     size: int, thicknesses: tuple[float, ...], noises: tuple[float, ...], repeats: int = 1, seed: int = 1,
-    scenes: tuple[str, ...] = FAMILIES["first"],
+    scenes: tuple[str, ...] = FAMILIES["first"], beyond: bool = True,
 ) -> Iterator[Press]:  # fmt: skip
     """Every scene at every thickness (t/pitch) and noise on an array of size x size.
 
-    The first family is under rubber; of the second, every other repeat is under the paper's cover.
+    The first family is under rubber; of the second, every other repeat is under the paper's cover. All pressure
+    ends at the border: the blur that restores has none beyond, either, unless its surface goes on `beyond` it.
     """
     for thickness, scene, noise, repeat in product(thicknesses, scenes, noises, range(repeats)):
         seeds = [seed, repeat, int(1e4 * noise)]
@@ -52,4 +54,8 @@ def presses(
         clean, truth = sense(skin, fine)
         sigma = noise * float(clean.max())
         frame = (clean + random.normal(0, sigma, clean.shape)).astype(np.float32)
-        yield Press(scene, thickness, noise, sigma, frame, truth, skin.blur, skin.psf)
+        blur = skin.blur
+        if not beyond:
+            blur = copy(blur)
+            blur.wide = None
+        yield Press(scene, thickness, noise, sigma, frame, truth, blur, skin.psf)
