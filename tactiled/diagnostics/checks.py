@@ -4,6 +4,7 @@ Pressure never pulls and a cover only smooths, whatever is pressed. So no part o
 than its noise explains, and the modes that the cover weakens most hold no less than the noise.
 """
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -59,24 +60,39 @@ class FrameChecks:
         self._warnings: tuple[FrameWarning, ...] = ()
 
     def __call__(
-        self, raw: Floats, flags: Flags, image: Floats, noise: float, method: str = ""
+        self,
+        raw: Floats,
+        flags: Flags,
+        image: Floats,
+        noise: float,
+        method: str = "",
+        predict: Callable[[], Floats] | None = None,
     ) -> tuple[FrameWarning, ...]:
         """Warnings of this frame; arguments as of `check`."""
         self._frames += 1
         if self._frames % CHECK_EVERY_FRAMES == 1:
-            codes = self.check(raw, flags, image, noise, method)
+            codes = self.check(raw, flags, image, noise, method, predict)
             self._counts = {code: self._counts.get(code, 0) + 1 for code in codes}
             self._warnings = tuple(warning(code) for code, n in self._counts.items() if n >= CHECKS_IN_A_ROW)
         return self._warnings
 
     def check(
-        self, raw: Floats, flags: Flags, image: Floats, noise: float, method: str = ""
+        self,
+        raw: Floats,
+        flags: Flags,
+        image: Floats,
+        noise: float,
+        method: str = "",
+        predict: Callable[[], Floats] | None = None,
     ) -> tuple[WarningCode, ...]:
-        """What one frame shows: `raw` and `image` in kPa, `noise` of a taxel in kPa, `method` restored it."""
+        """What one frame shows: `raw` and `image` in kPa, `noise` of a taxel in kPa, `method` restored it.
+
+        `predict` gives what the taxels feel (kPa) of the image, where something of it lies beyond the array.
+        """
         sound = flags == 0
         if not sound.any():
             return ()
-        predicted = self._blur.forward(image)
+        predicted = predict() if predict else self._blur.forward(image)
         completed = np.where(sound, raw, predicted)
         offset = self._even_offset(image, noise)
         tests: dict[WarningCode, bool] = {

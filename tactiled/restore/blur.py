@@ -158,6 +158,12 @@ class Wide:
         there[self.own] = True
         return there if self.shown is None else (self.shown > 0).any(axis=0).reshape(there.shape)
 
+    def forward(self, wide: Array) -> Array:
+        """Give what the array's taxels feel of an image of all cells (R, C): (N,) or of a grid's shape."""
+        if self.felt is None:
+            return self.blur.forward(wide)[self.own]
+        return self.felt.astype(wide.dtype) @ wide.reshape(-1)
+
     def image(self, wide: Array) -> Array:
         """Give the array's own image from one of all cells (R, C)."""
         return wide[self.own] if self.shown is None else self.shown.astype(wide.dtype) @ wide.reshape(-1)

@@ -82,6 +82,7 @@ class Part(Kriging):
         self._reading = np.empty(blur.frame_shape, np.float32)
         self._inferred = np.empty(len(self._missing), np.float32)
         self._matrices: dict[Spectrum, NDArray[Any]] = {}
+        self._lowered: dict[Spectrum, NDArray[Any]] = {}  # Q_kk's diagonal, as the others are not there
         whole = not len(self._missing)
         sides = zip(modes.taxel, blur.frame_shape, strict=True)
         self.bases = tuple(U if whole else _cosines(n) for U, n in sides)
@@ -120,7 +121,11 @@ class Part(Kriging):
     def precision(self, spectrum: Spectrum) -> Floats:
         """Give the diagonal of C^-1, of the frame's shape."""
         values = np.asarray(1 / self._variance(spectrum), np.float32)
-        return np.asarray(self._squares(values, self._squares.empty())[self._own])
+        diagonal = self._squares(values, self._squares.empty())[self._own].astype(float)
+        if len(self._missing):
+            self._matrix(spectrum)
+            diagonal += self._lowered[spectrum].reshape(diagonal.shape)
+        return np.asarray(diagonal)
 
     def smooth(self, y: Image) -> Image:
         """Give a mean of what is around each taxel."""
@@ -165,6 +170,7 @@ class Part(Kriging):
             Q = (U @ patterns.reshape(-1, *shape) @ V.T).reshape(len(patterns), -1)
             matrix = np.asarray(-np.linalg.solve(Q[:, self._missing], Q[:, self._known]), np.float32)
             _keep(self._matrices, spectrum, matrix)
+            _keep(self._lowered, spectrum, np.einsum("mk,mk->k", matrix, Q[:, self._known]))
         return self._matrices[spectrum]
 
 

@@ -44,6 +44,7 @@ class Restorer:
         nothing = np.zeros(self._scene.blur.surface_shape, np.float32)
         self._no_data = Restored(nothing, "idle", NO_DATA, 0, 0.0, self._scene.widest_mm)
         self._image = np.zeros(blur.surface_shape, np.float32)
+        self._last = nothing  # that was restored, with what lies beyond the array where the method has it
         self._empty = self._filled = False  # the last frame
 
     def __call__(
@@ -75,10 +76,18 @@ class Restorer:
 
     def _own(self, done: Restored) -> Restored:
         """Give what was restored without what lies beyond the array."""
+        self._last = done.image
         if done.image.shape == self._image.shape:
             return done
         np.copyto(self._image, self._scene.inside(done.image))
         return done._replace(image=self._image)
+
+    def predicted(self) -> Image:
+        """Give what the taxels (kPa, their shape) feel of what was restored last, beyond the array too."""
+        array, last = self._scene.array, self._last
+        if array.wide is None or last.shape == self._image.shape:
+            return array.forward(last)
+        return np.asarray(array.wide.forward(last).reshape(array.frame_shape))
 
     def deviation(self) -> Floats:
         """Standard deviation (kPa) of every cell of the image last restored; NaN if no taxel had data."""

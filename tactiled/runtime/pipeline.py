@@ -225,7 +225,7 @@ class Pipeline:
     ) -> tuple[FrameWarning, ...]:
         """Warnings of an image."""
         doubtful = flags if self._noise_ratio is None else flags | (self._noise_ratio > 1).reshape(flags.shape)
-        checked = self._checks(raw, doubtful, done.image, self.noise.kpa, done.method)
+        checked = self._checks(raw, doubtful, done.image, self.noise.kpa, done.method, self._restorer.predicted)
         if done.cut_short:
             checked = (*checked, warning("cut_short", budget_ms=1e3 * budget_s))
         checked = self._thickness(checked, raw, doubtful, self.noise.kpa)

@@ -143,7 +143,8 @@ class Playback:
             return ()  # what is unknown shows nothing
         noisy = None if self._noise_ratio is None else (self._noise_ratio > 1).reshape(image.flags.shape)
         doubtful = image.flags if noisy is None else image.flags | noisy
-        return self._checks.check(image.raw, doubtful, image.restored, self.noise, image.method)
+        predict = self._restorers[method].predicted  # of the frame that was restored just now
+        return self._checks.check(image.raw, doubtful, image.restored, self.noise, image.method, predict)
 
     def contacts(self, image: Image) -> tuple[Contact, ...]:
         """Contacts of an image, strongest first, numbered from 1: there is no frame before to follow them from."""

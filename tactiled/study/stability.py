@@ -91,26 +91,30 @@ def run(setting: Setting, sweep: Sweep) -> list[Row]:
 def restore(sweep: str, value: float, case: Case) -> list[Row]:
     """Restore one frame by every method."""
     images: dict[str, tuple[str, Frames, float]] = {}
+    predicted: dict[str, Frames] = {}  # frames, of what lies beyond the array too
     for name in ("raw", *OURS):
         restorer = make(name, case.skin.blur, case.noise)
         for earlier in case.before:
             restorer(earlier, case.flags)
         done = restorer(case.frame, case.flags)
         images[name] = done.method, done.image.copy(), rms(restorer.deviation())
+        predicted[name] = restorer.predicted().copy()
     images |= {name: ("", image, np.nan) for name, image in _peers(case).items()}
     raw, flagged = nrmse(images["raw"][1], case.truth), bool(case.flags.any())
     rows = []
     for name, (used, image, stated) in images.items():
         error = nrmse(image, case.truth)
         errors = error, error / raw, rms(image - case.truth)
-        warnings = _warnings(case, image, used)
+        warnings = _warnings(case, image, used, predicted.get(name))
         rows.append(Row(sweep, value, case.scene, name, used, *errors, stated, flagged, warnings))
     return rows
 
 
-def _warnings(case: Case, image: Frames, used: str) -> tuple[WarningCode, ...]:
+def _warnings(case: Case, image: Frames, used: str, predicted: Frames | None) -> tuple[WarningCode, ...]:
     checks = FrameChecks(case.skin.blur, case.floor)
-    warnings = checks.check(case.frame, case.flags, np.asarray(image, np.float32), case.noise, used)
+    predict = None if predicted is None else lambda: np.asarray(predicted, np.float32)
+    image = np.asarray(image, np.float32)
+    warnings = checks.check(case.frame, case.flags, image, case.noise, used, predict)
     noisy = case.still is not None and estimate(case.still) > NOISE_RATIO * case.noise
     return (*warnings, "noise_high") if noisy else warnings
 

@@ -28,7 +28,9 @@ def sense(x=0.0, y=0.0, thickness=1.5, pressure=100.0, radius=2.4, noise=NOISE):
 
 
 def check(blur, frame, flags=SOUND, noise=NOISE):
-    return FrameChecks(blur).check(frame, flags, make("nnls", blur, noise)(frame, flags).image, noise)
+    restore = make("nnls", blur, noise)
+    image = restore(frame, flags).image
+    return FrameChecks(blur).check(frame, flags, image, noise, predict=restore.predicted)
 
 
 def stuck_taxel(frame):
@@ -61,7 +63,8 @@ def drifting_part(frame):
         ({"noise": NOISE * 0.7}, 0, ()),
         ({"noise": NOISE * 0.4}, 0, ("noise_low",)),
         ({"thickness": 0.25, "radius": 4}, 0, ("cover_mismatch",)),
-        ({"x": 10.5}, 0, ("edge",)),
+        ({"x": 10.5}, 0, ()),  # half on the array: restored as it is
+        ({"x": 11.5}, 0, ("edge",)),
         ({"x": -11, "y": 3}, 0, ("edge",)),
     ],
 )
