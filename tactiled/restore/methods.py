@@ -27,7 +27,7 @@ FAST_RL_ITERATIONS = 24  # 30 are 1 % better at 16 squared, and take over five t
 BY_HAND = "selected by hand"
 NO_DATA = "no taxel has data, and nothing is known"
 NO_POINTS = "not a few point loads; used NNLS"
-NOT_TRAINED = "the network was not trained for so few cells, or for such a cover: restored by nnls"
+NOT_TRAINED = "the network was not trained for this cover, or so many cells: restored by nnls"
 NO_AREA = "total variation needs neighbours in a grid: restored by nnls"
 
 

@@ -18,6 +18,7 @@ WINDOW = 5  # modes along each axis whose power is averaged
 FALSE_ALARMS = 1e-3  # of frames of noise alone, in which a mode stands out
 QUIET = 0.25  # of the modes, those of least gain
 MEDIAN = 0.455  # of a normal variable's square
+MOST = 1e18  # of a power over the noise's: more overflows, and changes nothing
 
 
 class NarrowBand:
@@ -50,6 +51,7 @@ class NarrowBand:
         self.weight = self._average.empty()
         self._mask = np.zeros(gain.shape, bool)
         self._factor, self._one = np.zeros((), np.float32), np.ones((), np.float32)
+        self._most = np.full((), MOST, np.float32)
         self._zeros = np.zeros_like(self._power)
 
     def limit(self, expected: Floats) -> Image:
@@ -70,6 +72,7 @@ class NarrowBand:
             return False
         factor[()] = quiet
         np.multiply(power, factor, out=power)
+        np.minimum(power, self._most, out=power)
         np.maximum(self._shared(squares), factor, out=level)
         np.multiply(level, limit, out=level)
         np.greater(power, level, out=self._mask)
@@ -96,7 +99,7 @@ class NarrowBand:
         """How far the median of some squares is above that of the noise, over the noise's variance; 0 if not."""
         np.copyto(ordered, squares)
         ordered.sort()
-        return max(0.0, ordered.item(len(ordered) // 2) / (MEDIAN * self._variance) - 1)
+        return min(MOST, max(0.0, ordered.item(len(ordered) // 2) / (MEDIAN * self._variance) - 1))
 
 
 def _neighbours(n: int) -> Floats:
