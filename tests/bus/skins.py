@@ -12,6 +12,7 @@ from tactiled.bus.codecs.linker import Linker
 from tactiled.bus.codecs.omnihand import OmniHand
 from tactiled.bus.codecs.packed import Packed
 from tactiled.bus.codecs.poweron import PowerOn
+from tactiled.bus.codecs.pushed import Pushed
 from tactiled.bus.codecs.xela import Xela
 from tactiled.frames import Message
 
@@ -51,6 +52,7 @@ CODECS = {
     "linker-o20": Linker("left", (1, 5), layout="o20"),
     "omnihand": OmniHand(1, parts=(1, 5)),
     "omnihand-palm": OmniHand(3, parts=(2, 6)),
+    "pushed": Pushed(30),
     "dbc": Dbc(DBC, GRID),
     "dbc-pages": Dbc(DBC, ("Pages.P2", "Pages.P0", "Pages.P1")),
     "dbc-mixed": Dbc(DBC, ("Row0.T0_0", "Row1.T1_2", "Pages.P0", "Pages.P2", "Floats.F0", "Floats.Offset")),

@@ -85,6 +85,21 @@ def test_two_sensors_of_one_name_in_ros_are_an_error_where_ros_is_used():
         parse(f'{text}\n[zenoh]\nlisten = ["tcp/127.0.0.1:7447"]\nros_domain = 0\n')
 
 
+def test_a_sensor_without_bus_and_codec_has_a_bus_of_its_own():
+    at = EXAMPLE.index("[sensor.palm.codec]"), EXAMPLE.index("[sensor.palm.array]")
+    text = EXAMPLE[: at[0]].replace('bus = "can0"', "") + EXAMPLE[at[1] :]
+    config = parse(text)
+    assert (config.sensor["palm"].bus, config.sensor["palm"].codec.name) == ("palm", "pushed")
+    assert config.bus["palm"].settings()["interface"] == "virtual"
+    assert "can0" in config.bus
+    with pytest.raises(
+        ConfigError, match=r"sensor\.palm: without bus and codec its frames are pushed: rename bus"
+    ):
+        parse(text.replace("bus.can0", "bus.palm"))
+    with pytest.raises(ConfigError, match=r"sensor\.palm\.codec: missing"):
+        parse(EXAMPLE[: at[0]] + EXAMPLE[at[1] :])
+
+
 LAYER = "thickness_mm = 1.2\nyoung_mpa = 0.6\npoisson = 0.48\n"
 COVER_TABLE = f"[sensor.palm.cover]\n{LAYER}"
 

@@ -16,6 +16,7 @@ from tactiled.errors import (
     NoCalibrationError,
     NoShearError,
     NotLiveError,
+    NotPushedError,
     ReaderAnswerError,
     ReaderError,
     ReadOnlyError,
@@ -29,7 +30,7 @@ from tactiled.web import schemas
 STATUSES: dict[type[TactileError], int] = {
     ConfigError: 422, UnknownSensorError: 404, NoShearError: 404, NoCalibrationError: 404, NotLiveError: 409,
     LoadedError: 409, CalibrationStateError: 409, TareStateError: 409, ReloadError: 409, ReaderError: 503,
-    ReaderAnswerError: 502, ReadOnlyError: 403,
+    ReaderAnswerError: 502, ReadOnlyError: 403, NotPushedError: 409,
 }  # fmt: skip
 SOON = {"Retry-After": "1"}
 VERBS = ("DELETE", "GET", "PATCH", "POST", "PUT")
