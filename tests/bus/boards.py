@@ -134,3 +134,18 @@ class OmniHand2025:
         assert message.extended
         assert message.fd
         return [message._replace(data=self.parts[part].ljust(64, b"\0"))]
+
+
+class XelaOlder:
+    """A 4 x 4 board of an older generation, whose ids community drivers show; it sends once it is started."""
+
+    def __init__(self, controller, axes):
+        """`axes`: X, Y and Z (16, 3) of its taxels."""
+        self.controller, self.axes, self.sends = controller, axes, False
+
+    def receive(self, message):
+        assert (message.id, message.extended, message.fd) == (0x200 | self.controller, False, False)
+        assert message.data in (b"\x07\x00", b"\x07\x01")
+        self.sends = message.data == b"\x07\x00"
+        taxels = enumerate(self.axes) if self.sends else ()
+        return [Message(0.0, 0x100 | n // 4 << 4 | n % 4, b"\x83" + row.tobytes() + b"\0") for n, row in taxels]

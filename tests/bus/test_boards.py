@@ -7,8 +7,9 @@ from tactiled.bus.codecs.barrett import Barrett
 from tactiled.bus.codecs.icub import Icub
 from tactiled.bus.codecs.linker import Linker
 from tactiled.bus.codecs.omnihand import OmniHand
+from tactiled.bus.codecs.xela import Xela
 from tactiled.frames import BAD
-from tests.bus.boards import LinkerHand, LinkerO20, Mtb, OmniHand2025, TactilePuck, frames_of
+from tests.bus.boards import LinkerHand, LinkerO20, Mtb, OmniHand2025, TactilePuck, XelaOlder, frames_of
 
 
 @pytest.mark.parametrize(
@@ -68,3 +69,10 @@ def test_an_omnihand_answers_its_requests_with_every_taxel():
     frames = frames_of(OmniHand(3, "left", (4, 6)), OmniHand2025(3, {4: finger, 6: palm}), 0.16)
     assert len(frames) == 4
     assert all(frame.counts.tolist() == [*finger[::-1], *palm] for frame in frames)
+
+
+def test_an_older_xela_board_is_started_and_stopped():
+    axes = np.random.default_rng(5).integers(0, 1 << 16, (16, 3)).astype(">u2")
+    board = XelaOlder(3, axes)
+    (frame,) = frames_of(Xela("4x4-old", 3, start=True), board, 0.1)
+    assert (frame.counts.tolist(), board.sends) == (axes[:, 2].tolist(), False)
