@@ -37,6 +37,7 @@ BUS_OFF_HINT = (
     "bus-off: too many errors on the wire: check wiring, termination and bit rate; `ip link set CHANNEL type can "
     "restart-ms 100` brings it back by itself"
 )
+XELA_SERVER = "websocket"  # an interface beside python-can's
 STANDARD_ID, EXTENDED_ID = 0x7FF, 0x1FFFFFFF
 
 
@@ -213,9 +214,9 @@ class Reader:
 
 def no_interface(name: str) -> str | None:
     """What is wrong with the name of an interface, and which there are; None where nothing is."""
-    if name in VALID_INTERFACES:
+    if name in (known := {*VALID_INTERFACES, XELA_SERVER}):
         return None
-    return f"python-can has no interface of that name: choose one of {', '.join(sorted(VALID_INTERFACES))}"
+    return f"python-can has no interface of that name: choose one of {', '.join(sorted(known))}"
 
 
 def open_bus(interface: str, **settings: Any) -> Reader:
@@ -225,6 +226,10 @@ def open_bus(interface: str, **settings: Any) -> Reader:
     if fault := no_interface(interface):
         raise BusError(f"bus {label}: {fault}")
     try:
+        if interface == XELA_SERVER:
+            from tactiled.bus.xela_server import XelaServerBus  # websockets, which no CAN bus needs
+
+            return Reader(XelaServerBus(**reveal(settings)), label, redact)
         return Reader(Bus(interface=interface, **reveal(settings)), label, redact)
     except Exception as error:  # an interface without its driver raises what it likes, NameError included
         raise _bus_error(error, label, redact) from error
