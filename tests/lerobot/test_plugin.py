@@ -20,7 +20,8 @@ from tactiled.runtime.sensor import Sensor
 from tests.conftest import BUSY_S, pressed, until
 from tests.lerobot.stand_ins import stand_ins
 
-MODULES = "robots", "processor", "datasets.utils", "datasets.pipeline_features", "utils.import_utils"
+FRAMES = "utils.feature_utils" if sys.version_info >= (3, 12) else "datasets.utils"  # of LeRobot 0.6, and of 0.4
+MODULES = "robots", "processor", FRAMES, "datasets.pipeline_features", "utils.import_utils"
 
 
 @pytest.fixture(scope="module")
