@@ -101,6 +101,25 @@ class LinkerO20:
         return [message._replace(data=data[64:].ljust(12, b"\0") if second else data[:64])]
 
 
+class LinkerL30Hand:
+    """A hand on CAN FD: linkerhand-l30-sdk, core/linker_hand_l30_v6_2_canfd.py (get_finger_touch)."""
+
+    def __init__(self, node, matrices):
+        """`matrices` (12, 6) by finger."""
+        self.node, self.matrices = node, matrices
+
+    def receive(self, message):
+        priority_access_parent, finger = message.id >> 21, message.id >> 13 & 0xFF
+        destination, source, reserved = message.id >> 8 & 0x1F, message.id >> 3 & 0x1F, message.id & 7
+        assert (priority_access_parent, destination, source, reserved) == (2, self.node, 0, 0)
+        assert (message.data, message.extended, message.fd) == (bytes(2), True, True)
+        taxels = self.matrices[finger].tobytes()
+        id_ = 2 << 21 | finger << 13 | self.node << 3
+        for number, part in enumerate((taxels[:61], taxels[61:])):
+            data = bytes((len(part), 1 << 4 | number, 0)) + part
+            yield Message(0.0, id_, data.ljust(16 if number else 64, b"\0"), True, True)
+
+
 class TactilePuck:
     """A pad of a BarrettHand: libbarrett, src/products/tactile_puck.cpp and include/barrett/products/detail."""
 

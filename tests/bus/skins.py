@@ -9,6 +9,7 @@ from tactiled.bus.codecs.cyskin import CySkin
 from tactiled.bus.codecs.dbc import Dbc
 from tactiled.bus.codecs.icub import Icub
 from tactiled.bus.codecs.linker import Linker
+from tactiled.bus.codecs.linker_l30 import LinkerL30
 from tactiled.bus.codecs.omnihand import OmniHand
 from tactiled.bus.codecs.packed import Packed
 from tactiled.bus.codecs.poweron import PowerOn
@@ -50,6 +51,7 @@ CODECS = {
     "linker-g20-5": Linker("right", (2, 3), layout="g20-5"),
     "linker-g20-7": Linker("left", (6, 1), layout="g20-7"),
     "linker-o20": Linker("left", (1, 5), layout="o20"),
+    "linker_l30": LinkerL30(2, (1, 4)),
     "omnihand": OmniHand(1, parts=(1, 5)),
     "omnihand-palm": OmniHand(3, parts=(2, 6)),
     "pushed": Pushed(30),

@@ -6,10 +6,20 @@ import pytest
 from tactiled.bus.codecs.barrett import Barrett
 from tactiled.bus.codecs.icub import Icub
 from tactiled.bus.codecs.linker import Linker
+from tactiled.bus.codecs.linker_l30 import LinkerL30
 from tactiled.bus.codecs.omnihand import OmniHand
 from tactiled.bus.codecs.xela import Xela
 from tactiled.frames import BAD
-from tests.bus.boards import LinkerHand, LinkerO20, Mtb, OmniHand2025, TactilePuck, XelaOlder, frames_of
+from tests.bus.boards import (
+    LinkerHand,
+    LinkerL30Hand,
+    LinkerO20,
+    Mtb,
+    OmniHand2025,
+    TactilePuck,
+    XelaOlder,
+    frames_of,
+)
 
 
 @pytest.mark.parametrize(
@@ -53,6 +63,15 @@ def test_a_linker_hand_answers_its_requests_with_every_taxel(layout, fingers, sh
     assert len(frames) == 4
     for frame in frames:
         np.testing.assert_array_equal(frame.counts, np.concatenate([each.ravel() for each in matrices.values()]))
+        assert not frame.flags.any()
+
+
+def test_an_l30_answers_its_requests_with_every_taxel():
+    matrices = {each: np.random.default_rng(each).integers(0, 256, (12, 6), np.uint8) for each in (1, 5)}
+    frames = frames_of(LinkerL30(3, (5, 1)), LinkerL30Hand(3, matrices), 0.18)
+    assert len(frames) == 4
+    for frame in frames:
+        np.testing.assert_array_equal(frame.counts, [*matrices[5].ravel(), *matrices[1].ravel()])
         assert not frame.flags.any()
 
 

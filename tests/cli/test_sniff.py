@@ -46,8 +46,8 @@ def test_a_bus_of_a_file_without_sensors_is_listened_to_and_recorded(tmp_path, r
 
 
 SKINS = (
-    "barrett", "cyskin", "linker", "linker-o6", "linker-g20-5", "linker-o20", "omnihand", "poweron", "xela",
-    "xela-4x6-old",
+    "barrett", "cyskin", "linker", "linker-o6", "linker-g20-5", "linker-o20", "linker_l30", "omnihand", "poweron",
+    "xela", "xela-4x6-old",
 )  # fmt: skip
 
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from tactiled.config import parse
 from tactiled.runtime.service import Service
-from tests.bus.boards import LinkerHand, LinkerO20, Mtb, OmniHand2025, TactilePuck, XelaOlder
+from tests.bus.boards import LinkerHand, LinkerL30Hand, LinkerO20, Mtb, OmniHand2025, TactilePuck, XelaOlder
 
 CODECS = {
     "icub": ("vcan0", 'name = "icub", board = 13, triangles = [5], start = true, shift = 1', ""),
@@ -28,6 +28,7 @@ CODECS = {
         'name = "linker", hand = "right", poll_hz = 5, layout = "o20"',
         "rows = 12, columns = 6, pitch_mm = 2.0",
     ),
+    "l30": ("vcan1", 'name = "linker_l30", node = 2, poll_hz = 5', "rows = 12, columns = 6, pitch_mm = 2.0"),
     "omnihand": ("vcan1", 'name = "omnihand", device = 3, poll_hz = 5', "rows = 8, columns = 2, pitch_mm = 3.0"),
 }
 BUSES = """
@@ -80,7 +81,7 @@ def answering(reader, boards):
 
 def test_every_board_gets_what_its_source_says_and_its_frame_is_read(bus, until):
     rng = np.random.default_rng(7)
-    l6, o20 = rng.integers(0, 256, (2, 12, 6), np.uint8)
+    l6, o20, l30 = rng.integers(0, 256, (3, 12, 6), np.uint8)
     o6, finger = rng.integers(0, 256, (10, 4), np.uint8), rng.integers(0, 256, 16, np.uint8)
     cells, axes = rng.integers(0, 0x1000, 24), rng.integers(0, 1 << 16, (16, 3)).astype(">u2")
     mtb, xela = Mtb(13, {5: [200, 100, 50, *[0] * 9]}), XelaOlder(3, axes)
@@ -93,6 +94,7 @@ def test_every_board_gets_what_its_source_says_and_its_frame_is_read(bus, until)
     }
     device = 1  # of a right hand
     fd = {device << 21 | register << 13: LinkerO20(device, {1: o20}) for register in (9, 10)}
+    fd[2 << 21 | 1 << 13 | 2 << 8] = LinkerL30Hand(2, {1: l30})
     fd[1 << 24 | 5 << 16 | 1 << 8 | 3] = OmniHand2025(3, {1: finger.tobytes()})
     expected = {
         "icub": [140, 190, 215, *[240] * 7],
@@ -101,6 +103,7 @@ def test_every_board_gets_what_its_source_says_and_its_frame_is_read(bus, until)
         "o6": o6.ravel(),
         "xela": axes[:, 2],
         "o20": o20.ravel(),
+        "l30": l30.ravel(),
         "omnihand": finger.reshape(8, 2)[::-1].ravel(),  # the last row comes first
     }
     service = Service(parse(CONFIG))

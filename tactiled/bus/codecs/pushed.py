@@ -3,7 +3,7 @@
 A message has a sequence number (32 bits), a segment (16 bits), two zeros and 14 taxels (float32), little-endian.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -11,7 +11,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactiled.bus.batch import MAX_BYTES, Batch, Key
-from tactiled.bus.codec import BatchCodec, Codec, Readings, Skin, stacked, standard_ids
+from tactiled.bus.codec import (
+    BatchCodec,
+    Codec,
+    Match,
+    Readings,
+    Skin,
+    Traffic,
+    stacked,
+    standard_ids,
+    understands,
+)
+from tactiled.bus.codecs.packed import squarest
 from tactiled.errors import CodecError
 from tactiled.frames import Counts, Message
 from tactiled.geometry import Array
@@ -19,6 +30,7 @@ from tactiled.geometry import Array
 ID = 0x600
 HEADER = 8  # bytes
 TAXELS = (MAX_BYTES - HEADER) // 4  # in a message
+MAX_TAXELS = TAXELS << 16
 
 
 @dataclass(frozen=True)
@@ -97,6 +109,21 @@ class Settings(Skin):
     def codec(self, array: Array) -> Codec:
         """The layout of an array."""
         return Pushed(array.size)
+
+    @classmethod
+    def recognise(cls, traffic: Traffic) -> Iterator[Match]:
+        """Every segment, as a recording has them."""
+        messages = Batch.of(traffic.get((ID, False), ()))
+        if not len(messages) or not understands(every := Pushed(MAX_TAXELS), messages):
+            return
+        readings = every.readings(messages)
+        taxels = readings.segments[:, None] * TAXELS + np.arange(TAXELS)
+        sent = taxels[readings.payloads.view("<f4") != 0]  # behind the last of them is padding, or rest at 0
+        codec = Pushed(int(sent.max(initial=0)) + 1)
+        if {*readings.segments.tolist()} == {*range(codec.segments)}:
+            shape = squarest(codec.size, codec.size)
+            note = f"array: at least {codec.size} taxels"
+            yield Match({}, codec, ((ID, False),), shape, "frames that a program pushed", (note,))
 
 
 SKIN = Settings
