@@ -153,9 +153,7 @@ class Reader:
     def send(self, message: Message) -> None:
         """Put one data frame on the bus; BusError where it does not take it."""
         try:
-            id_, extended, fd = message.id, message.extended, message.fd
-            frame = CanMessage(0.0, id_, extended, data=message.data, is_fd=fd, bitrate_switch=fd)
-            self._bus.send(frame)
+            self._bus.send(can_message(message))
         except Exception as error:  # a driver whose device was unplugged raises what it likes
             raise _bus_error(error, self.label, self._redact) from error
 
@@ -265,6 +263,12 @@ def _socket(bus: BusABC) -> socket.socket | None:
         with suppress(OSError):
             handle.setsockopt(*every_group, 0)
     return handle
+
+
+def can_message(message: Message) -> CanMessage:
+    """A data frame as python-can has it."""
+    time_s, id_, fd = message.time, message.id, message.fd
+    return CanMessage(time_s, id_, message.extended, data=message.data, is_fd=fd, bitrate_switch=fd)
 
 
 def _raw(frame: CanMessage) -> Message:
