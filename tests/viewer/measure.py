@@ -18,6 +18,7 @@ from tactiled.config import parse
 from tactiled.runtime.service import Service
 from tactiled.simulate import play, player
 from tactiled.web.server import running
+from tests.viewer.conftest import CHROMIUM
 
 RATE_HZ = 75.0  # of the sensor: above the screen's
 FRAMES = 256  # that are simulated before and repeated: one round of the codec's sequence numbers
@@ -125,7 +126,7 @@ def main() -> None:
     with running(service) as url, sync_playwright() as playwright:
         service.start()
         sender.start()
-        browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=["--no-sandbox"])
+        browser = playwright.chromium.launch(executable_path=shutil.which(CHROMIUM), args=["--no-sandbox"])
         page = browser.new_page(viewport={"width": 1440, "height": 900})
         page.add_init_script(COUNT_MAPS if wall else "")
         page.add_init_script(WATCH_PAINTINGS)
