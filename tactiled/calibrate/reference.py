@@ -159,7 +159,7 @@ def _coarse(times: Floats, signal: Floats, log: Reference) -> float:
 
 
 def _correlate(one: Floats, other: Floats) -> Floats:
-    """Cross-correlation (N + M - 1,) of (N,) and (M,), from a shift of 1 - M on; scipy.signal takes 1 s to start."""
+    """Cross-correlation (N + M - 1,) of (N,) and (M,), shifted by 1 - M on; scipy.signal takes 1 s to import."""
     size = one.size + other.size - 1
     padded = 1 << (size - 1).bit_length()
     product = np.fft.rfft(one, padded) * np.fft.rfft(other, padded).conj()
