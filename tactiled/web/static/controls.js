@@ -58,6 +58,14 @@ function buttons(viewer, targets) {
   press("pause", () => viewer.pause(!viewer.session?.paused));
   press("back", () => viewer.step(-1));
   press("forward", () => viewer.step(1));
+  const hold = /** @type {HTMLSelectElement} */ (byId("hold"));
+  const path = /** @type {HTMLInputElement} */ (byId("path-on"));
+  hold.addEventListener("change", () => viewer.hold(/** @type {import("./held_image.js").Held} */ (hold.value)));
+  press("hold-reset", () => viewer.hold("peak"));
+  path.addEventListener("change", () => {
+    viewer.path = path.checked;
+    viewer.refresh();
+  });
   press("section-turn", () => turn(viewer));
   press("tare", () => tare(viewer.name));
   press("tare-undo", () => undoTare(viewer.name));
@@ -143,15 +151,17 @@ async function chooseMethod(viewer) {
 function save(kind, viewer, targets) {
   viewer.paintNow();
   const { session, view: { colormap } } = viewer;
-  if (!session?.frame || !colormap) {
+  const { frame } = viewer;
+  if (!session || !frame || !colormap) {
     notice(viewer.name ? "There is no frame to save yet." : "To save a frame, choose one sensor.", true);
     return;
   }
-  const { name, plane, frame, statusOfFrame } = session;
+  const { name, plane, statusOfFrame } = session;
   const { level } = targets.screen;
   const recorded = session instanceof PlaybackSession ? `${session.recorded.name} at ${positionText(session.position)}` : "";
   const still = level === "live" ? "paused" : `paused, ${level}`;
-  const state = recorded || (session.paused ? still : level);
+  const moment = recorded || (session.paused ? still : level);
+  const state = viewer.held.text ? `${moment}, ${viewer.held.text}` : moment;
   if (kind === "csv") {
     const text = csvText(plane, frame, provenance(name, frame, statusOfFrame, state));
     download(name, frame, "csv", new Blob([text], { type: "text/csv" }));

@@ -65,7 +65,7 @@ export class Panels {
   _showPlace() {
     const { beside } = this._kept;
     document.body.classList.toggle("beside", beside);
-    const label = beside ? "Put the panels below the maps" : "Put the panels beside the maps";
+    const label = `Panels: put them ${beside ? "below" : "beside"} the maps`;
     this._place.setAttribute("aria-label", label);
     this._place.title = label;
   }

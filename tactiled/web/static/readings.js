@@ -177,7 +177,7 @@ const measureCells = (kind) =>
  */
 function showMeasures(at, of, unit, idle) {
   setText(at.force, idle ? fixed(of.force, unit ? 0 : 2) : forceNumber(of.force, unit));
-  setText(at.peak, fixed(of.peak, 1));
+  setText(at.peak, number(of.peak));
   setText(at.x, fixed(of.x, 1));
   setText(at.y, fixed(of.y, 1));
 }

@@ -4,7 +4,7 @@ import * as api from "./api.js";
 import { Chart, gappedLine } from "./chart.js";
 import { roundUp } from "./display_range.js";
 import { byId, confirmed, element, setText } from "./dom.js";
-import { fixed } from "./format.js";
+import { number } from "./format.js";
 import { cellAround } from "./geometry.js";
 import { RegionDrawing } from "./region_drawing.js";
 import { RegionLayer } from "./region_layer.js";
@@ -104,8 +104,8 @@ export class Regions {
 
   /** Bring the values up to date with the frame that is shown. */
   read() {
-    const { session, name } = this._viewer;
-    const { frame = null, plane = null } = session ?? {};
+    const { session, name, frame, held } = this._viewer;
+    const { plane = null } = session ?? {};
     if (!plane || this._sensor !== name) return;
     if (this._inside?.plane !== plane || this._inside.shapes !== this.shapes) {
       this._inside = { plane, shapes: this.shapes, cells: this._regions.map((each) => cellsIn(each, plane.restored)) };
@@ -113,12 +113,12 @@ export class Regions {
     const { cells: inside } = this._inside;
     this._regions.forEach((region, i) => {
       const { cells } = this._body.rows[i];
-      const now = session instanceof PlaybackSession ? session.regions.find((each) => each.name === region.name)
+      const now = session instanceof PlaybackSession && held.kind === "now" ? session.regions.find((each) => each.name === region.name)
         : frame && measureRegion(inside[i], frame, plane.restored);
       setText(cells[1], now?.force == null ? "–" : forceNumber(now.force, session?.unit ?? 0));
-      setText(cells[2], now?.mean == null ? "–" : fixed(now.mean, 1));
-      setText(cells[3], now?.peak == null ? "–" : fixed(now.peak, 0));
-      setText(cells[4], now?.area == null ? "–" : fixed(now.area, 0));
+      setText(cells[2], now?.mean == null ? "–" : number(now.mean));
+      setText(cells[3], now?.peak == null ? "–" : number(now.peak));
+      setText(cells[4], now?.area == null ? "–" : number(now.area));
     });
   }
 
@@ -184,16 +184,11 @@ export class Regions {
   _open(region, sensor) {
     this._chosen = region;
     this._owner = sensor;
-    const unit = this._viewer.unit;
     const isNew = region.name === undefined;
     setText(byId("region-title"), isNew ? `New region: ${region.shape}` : `Region ${region.name}`);
     this._name.value = region.name ?? "";
     this._name.readOnly = !isNew;
     this._limit.value = region.threshold?.quantity ?? "";
-    for (const option of this._limit.options) {
-      const quantity = /** @type {Measure|""} */ (option.value);
-      option.textContent = quantity ? `${quantity}, ${unitOfQuantity(quantity, unit)}` : "nothing";
-    }
     this._above.value = String(region.threshold?.above ?? "");
     this._below.value = String(region.threshold?.below ?? "");
     byId("region-held").hidden = byId("region-reset").hidden = isNew || this._viewer.session instanceof PlaybackSession;
@@ -208,6 +203,8 @@ export class Regions {
   _showLimit() {
     const quantity = /** @type {Measure|""} */ (this._limit.value);
     byId("region-limits").hidden = !quantity;
+    if (!quantity) return;
+    for (const each of this._dialog.querySelectorAll(".limit-unit")) setText(each, unitOfQuantity(quantity, this._viewer.unit));
   }
 
   async _save() {

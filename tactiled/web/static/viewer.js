@@ -8,6 +8,7 @@ import { DisplayRange } from "./display_range.js";
 import { byId } from "./dom.js";
 import { FrameRate } from "./frame_rate.js";
 import { Plane } from "./geometry.js";
+import { HeldImage } from "./held_image.js";
 import { KernelPanel } from "./kernel.js";
 import { Maps } from "./maps.js";
 import { notice, messageOf } from "./notice.js";
@@ -48,6 +49,10 @@ export class Viewer {
     this.latencies = new TrendChart(byId("latencies"), "ms", 5);
     this.kernel = new KernelPanel(byId("kernel"));
     this.pace = new FrameRate();
+    /** Whether the newest image is shown, or what it had for some time. */
+    this.held = new HeldImage();
+    /** Whether the way of the centre of pressure is shown. */
+    this.path = false;
     this.probe = new Probe([this.maps.raw, this.maps.restored, this.maps.difference], (deliberate) => {
       this.refresh();
       if (deliberate) listener.onProbe();
@@ -92,6 +97,23 @@ export class Viewer {
     return this.ranges[this.unit];
   }
 
+  /** @returns {Frame|null} what is shown: a frame, or what was held of some */
+  get frame() {
+    const { session } = this;
+    if (!session) return null;
+    return this.held.of(session.frame, session.history, placeOf(session), session.plane, session.paused);
+  }
+
+  /** Show images as they come, or what is held of them. @param {import("./held_image.js").Held} kind */
+  hold(kind) {
+    const { session } = this;
+    this.held.reset(kind);
+    if (session?.frame) this.held.push(session.frame, session.plane);
+    this._fit();
+    this.refresh();
+    this._listener.onChange();
+  }
+
   /** Paint at the screen's next turn. */
   refresh() {
     if (this._dirty) return;
@@ -102,7 +124,7 @@ export class Viewer {
   /** @returns {ContactsMessage|null} contacts to show: of the frame that is shown, or of one near it */
   get contactsOfFrame() {
     const frame = this.session?.frame;
-    return this.session && frame && this.contacts ? this.session.contacts.at(frame.timestamp) : null;
+    return this.session && frame && this.contacts && this.held.kind === "now" ? this.session.contacts.at(frame.timestamp) : null;
   }
 
   /** Label contacts on the maps with the forces that the table has. @param {Contact[]} contacts in the table */
@@ -125,10 +147,11 @@ export class Viewer {
     const { session, view: { colormap } } = this;
     if (!session || !colormap) return;
     if (this._fresh && session.holdBack()) this._fresh = false;
-    const { frame } = session;
+    const { frame } = this;
     this.maps.colorbar.draw(this.range, colormap, this.unit);
     if (frame) this._mark(frame, session);
     if (frame) this.maps.paint(frame, this.range, colormap, this.marks, this.shear, this.view);
+    this._drawPath(session);
     this.section.draw(frame, this.marks, this.range, frame && this._deviation(frame, session, now), this.unit);
     if (!this._fresh || now - this._trendsAt >= TREND_MS) {
       this._trendsAt = now;
@@ -139,17 +162,18 @@ export class Viewer {
         this.latencies.draw(session.history, session.back);
       }
     }
-    if (!this._fresh || !frame) return;
+    const { frame: newest } = session;
+    if (!this._fresh || !newest) return;
     this._fresh = false;
-    this.pace.paint(now, frame, session.freshness.minDelay);
-    session.history.latencies[frame.place] = this.pace.latency;
+    this.pace.paint(now, newest, session.freshness.minDelay);
+    session.history.latencies[newest.place] = this.pace.latency;
     document.documentElement.dataset.painted = String(this.pace.painted);
     session.painted();
   }
 
   /** Write values in the cells of the frame that is shown. */
   write() {
-    if (this.session?.frame) this.maps.write(this.session.frame, this.range, this.view);
+    if (this.frame) this.maps.write(this.frame, this.range, this.view);
   }
 
   /** Paint at once what is shown, for a picture of it. */
@@ -163,7 +187,13 @@ export class Viewer {
     this.maps.layout();
     this.regions?.layout(this.maps.zoom);
     this.maps.paint(frame, this.range, colormap, this.marks, this.shear, this.view);
+    if (this.session) this._drawPath(this.session);
     this.write();
+  }
+
+  /** @param {Session|PlaybackSession} session */
+  _drawPath(session) {
+    this.maps.drawPath(this.path ? session.history : null, placeOf(session), session.plane);
   }
 
   /** @param {Frame} frame @param {Session|PlaybackSession} session */
@@ -177,7 +207,7 @@ export class Viewer {
     if (contacts !== this._found) marks.contacts = contacts?.slice(0, MAX_ROWS) ?? null;
     this._found = contacts;
     for (const each of marks.contacts ?? []) if (!marks.labels.has(each.id)) marks.labels.set(each.id, this._labelOf(each)); // a new one
-    marks.outline.update(frame, session.plane, marks.contacts);
+    marks.outline.update(frame, session.plane, contacts, MAX_ROWS);
     marks.outlined = marks.contacts?.length ? frame.sequence : -1;
   }
 
@@ -188,7 +218,7 @@ export class Viewer {
    * @returns {Float32Array|null} of each restored cell
    */
   _deviation(frame, session, now) {
-    if (!this.sectionSeen) return null;
+    if (!this.sectionSeen || this.held.kind !== "now") return null;
     if (!session.paused) session.deviations.request(frame, now);
     const deviation = session.deviations.at(frame.timestamp);
     return deviation && unitOf(deviation.unit) === frame.unit ? deviation.values : null;
@@ -243,6 +273,7 @@ export class Viewer {
     this.marks.contacts = this._found = null;
     this.pace.reset();
     this.probe.clear();
+    this.held.reset();
     for (const range of this.ranges) range.reset();
     this.maps.clear();
     for (const each of [this.section, this.forces, this.latencies]) each.chart.clear();
@@ -334,14 +365,15 @@ export class Viewer {
   /** @param {Frame} frame */
   _take(frame) {
     const { session } = this;
-    if (!session?.paused) this.range.follow(peakOf(frame), noiseOf(frame), frame.timestamp);
+    if (session) this.held.push(frame, session.plane);
+    if (!session?.paused) this.range.follow(peakOf(this.frame ?? frame), noiseOf(frame), frame.timestamp);
     this._fresh = true;
     this.refresh();
   }
 
   /** Fit an automatic range to the frame that is paused. */
   _fit() {
-    const frame = this.session?.paused ? this.session.frame : null;
+    const frame = this.session?.paused ? this.frame : null;
     if (frame) this.range.show(peakOf(frame), noiseOf(frame));
   }
 
@@ -368,6 +400,9 @@ export class Viewer {
     this._listener.onChange();
   }
 }
+
+/** @param {Session|PlaybackSession} session @returns {number} how far back in the history the frame is that it shows */
+const placeOf = (session) => (session instanceof Session ? session.back + session.freshness.heldBack : 0);
 
 /** @param {Frame} frame @returns {number} the higher peak of both images */
 const peakOf = (frame) => Math.max(frame.ofRaw.peak || 0, frame.ofRestored.peak || 0);
