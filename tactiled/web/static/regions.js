@@ -16,6 +16,7 @@ import { FORCE_UNITS, forceNumber, forceText, pressureText, unitOf, unitOfQuanti
 
 /** @import { Measure, Region, Shape } from "./api.js" */
 /** @import { Plane } from "./geometry.js" */
+/** @import { RegionMeasures } from "./region_measure.js" */
 /** @import { Viewer } from "./viewer.js" */
 
 const POLL_MS = 250;
@@ -32,6 +33,8 @@ export class Regions {
     this._regions = [];
     /** @type {{plane: Plane, shapes: string, cells: number[][]}|null} the regions' cells */
     this._inside = null;
+    /** @type {(RegionMeasures|null)[]} of each, in the frame that is shown */
+    this._values = [];
     this._sensor = ""; // whose regions are in the list; another one than is watched until the next look
     this._owner = ""; // sensor of the region in the dialog
     const { raw, restored } = viewer.maps;
@@ -111,7 +114,7 @@ export class Regions {
       this._inside = { plane, shapes: this.shapes, cells: this._regions.map((each) => cellsIn(each, plane.restored)) };
     }
     const { cells: inside } = this._inside;
-    this._regions.forEach((region, i) => {
+    this._values = this._regions.map((region, i) => {
       const { cells } = this._body.rows[i];
       const now = session instanceof PlaybackSession && held.kind === "now" ? session.regions.find((each) => each.name === region.name)
         : frame && measureRegion(inside[i], frame, plane.restored);
@@ -119,7 +122,14 @@ export class Regions {
       setText(cells[2], now?.mean == null ? "–" : number(now.mean));
       setText(cells[3], now?.peak == null ? "–" : number(now.peak));
       setText(cells[4], now?.area == null ? "–" : number(now.area));
+      return now?.force == null ? null : /** @type {RegionMeasures} */ (now);
     });
+  }
+
+  /** @returns {[string, RegionMeasures|null][]} what each holds in the frame that is shown */
+  measured() {
+    this.read();
+    return this._regions.map(({ name }, i) => [name, this._values[i] ?? null]);
   }
 
   /** @param {string} sensor @param {Region[]} watched */

@@ -1,6 +1,8 @@
 /** The sensor that is watched, on the screen: maps, charts and the cover. @module */
 
 import * as api from "./api.js";
+import { AxisWindow, TimeWindow } from "./chart_window.js";
+import { zoomable } from "./chart_zoom.js";
 import { ContactOutline } from "./contact_outline.js";
 import { MAX_ROWS } from "./contact_table.js";
 import { CrossSection, placeLine } from "./cross_section.js";
@@ -27,6 +29,8 @@ import { View } from "./view.js";
 /** @import { Contact, ContactsMessage, Status } from "./sensor_stream.js" */
 
 const MIN_FORCES = FORCE_SCALES.map((each) => 100 * each); // that the chart of forces reaches up to: 0.1 N
+/** @type {[number, number]} s, of the chart of latencies */
+const LATENCY_ENDS = [-10, 0];
 const TREND_MS = 100; // between two drawings of what changes slowly
 
 /**
@@ -44,9 +48,19 @@ export class Viewer {
     /** By unit of pressure. */
     this.ranges = UNITS.map(() => new DisplayRange());
     this.maps = new Maps(() => this.refresh());
-    this.section = new CrossSection(byId("section"));
+    /** The time axis of live charts. */
+    this.time = new TimeWindow(() => {
+      this._redraw();
+      this.onTime();
+    });
+    /** The parts of a recording, and of the cross-section, that are shown. */
+    this.position = new AxisWindow(() => this._redraw());
+    this.along = new AxisWindow(() => this._redraw());
+    this.section = new CrossSection(byId("section"), this.along);
     this.forces = new TrendChart(byId("forces"), FORCE_UNITS[0], MIN_FORCES[0]);
     this.latencies = new TrendChart(byId("latencies"), "ms", 5);
+    zoomable(byId("section"), () => this.along);
+    zoomable(byId("forces"), () => (this.session instanceof PlaybackSession ? this.position : this.time));
     this.kernel = new KernelPanel(byId("kernel"));
     this.pace = new FrameRate();
     /** Whether the newest image is shown, or what it had for some time. */
@@ -66,6 +80,10 @@ export class Viewer {
     this.session = null;
     /** @type {((name: string) => Promise<Played|null>)|null} gives the recording to watch in the place of a sensor */
     this.source = null;
+    /** Learns that something was painted. @type {(now: number) => void} */
+    this.onPainted = () => {};
+    /** Draws other charts of the time axis. @type {() => void} */
+    this.onTime = () => {};
     /** Draws force over a recording. @type {(unit: number) => void} */
     this.drawOverview = () => {};
     /** Name of the sensor that is chosen; "" for none. */
@@ -85,6 +103,12 @@ export class Viewer {
     /** @type {Contact[]|null} in the frame that is marked */
     this._found = null;
     this._paint = this._paint.bind(this);
+  }
+
+  /** Draw the charts at once. */
+  _redraw() {
+    this._trendsAt = 0;
+    this.refresh();
   }
 
   /** @returns {number} unit of pressure of the sensor that is watched, index in UNITS */
@@ -158,10 +182,13 @@ export class Viewer {
       this.forces.measure(FORCE_UNITS[this.unit], MIN_FORCES[this.unit]);
       if (session instanceof PlaybackSession) this.drawOverview(this.unit);
       else {
-        this.forces.draw(session.history, session.back);
-        this.latencies.draw(session.history, session.back);
+        const cursor = session.back ? session.history.at(session.back)?.timestamp ?? NaN : NaN;
+        const { trace } = session.history;
+        this.forces.draw(trace, this.time.ends(trace.times[trace.place(0)]), cursor);
+        this.latencies.draw(session.history, LATENCY_ENDS, cursor);
       }
     }
+    this.onPainted(now);
     const { frame: newest } = session;
     if (!this._fresh || !newest) return;
     this._fresh = false;
@@ -333,8 +360,8 @@ export class Viewer {
     this.view.fixRange(this.unit);
     if (this.session instanceof PlaybackSession) this._listener.onPlayback(this.session);
     const { history } = this.session;
-    this.forces.use(history, [["raw", history.rawForces], ["restored", history.restoredForces]]);
-    this.latencies.use(history, [["accent", history.latencies]]);
+    this.forces.use([["raw", history.trace.rawForces], ["restored", history.trace.restoredForces]]);
+    this.latencies.use([["accent", history.latencies]]);
     this.regions?.layout(this.maps.zoom);
     this.refresh();
     this._listener.onChange();
