@@ -114,7 +114,7 @@ test("forces are kept in rings, with a gap where no frame came for a while", () 
   for (const time of [10, 10.5, 12, 12.5]) trace.push(time, time, 2 * time);
   const kept = [3, 2, 1, 0].map((back) => trace.rawForces[trace.place(back)]);
   assert.deepEqual(kept, [10.5, NaN, 12, 12.5]);
-  assert.deepEqual([9, 10.6, 12, 13].map((time) => backAt(trace, time)), [4, 3, 2, 0]);
+  assert.deepEqual([9, 10.6, 12, 13].map((time) => backAt(trace, time)), [4, 3, 3, 0]);
 });
 
 /** A grid of 1 x 3, and its frame. */

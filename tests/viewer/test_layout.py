@@ -129,7 +129,7 @@ def test_panels_are_folded_enlarged_and_put_beside_the_maps_and_a_browser_keeps_
     page.get_by_role("button", name="Fold Regions").click()
     page.get_by_role("button", name="Enlarge Total force").click()
     page.refreshed()
-    page.get_by_role("button", name="Zoom out").nth(1).click()
+    page.get_by_role("button", name="Zoom out").click()
     page.locator("#force-span", has_text="last 15 s").wait_for()
     page.locator("#forces").hover()
     page.mouse.wheel(0, 400)

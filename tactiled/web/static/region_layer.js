@@ -44,7 +44,7 @@ export class RegionLayer {
     draw.lineJoin = "round";
     const labels = [];
     for (const { name, shape, points_mm, exceeded, slot } of outlines) {
-      const color = exceeded ? "#ffb454" : SERIES[slot ?? -1] ?? "#fff";
+      const color = SERIES[slot ?? -1] ?? (exceeded ? "#ffb454" : "#fff");
       const points = points_mm.map(([x, y]) => [(x - plane.left) * zoom, (y - plane.top) * zoom]);
       const xs = points.map((each) => each[0]);
       const ys = points.map((each) => each[1]);
@@ -52,14 +52,14 @@ export class RegionLayer {
       draw.beginPath();
       outline(draw, shape, points, left, top, Math.max(...xs) - left, bottom - top);
       for (const [width, stroke] of /** @type {const} */ ([[3.5, "rgb(0 0 0 / 80%)"], [1.5, color]])) {
-        draw.setLineDash(width > 2 ? [] : [6, 3]);
+        draw.setLineDash(width > 2 || exceeded ? [] : [6, 3]);
         draw.lineWidth = width;
         draw.strokeStyle = stroke;
         draw.stroke();
       }
       draw.setLineDash([]);
       if (!name && shape === "polygon") drawHandle(draw, points[0]);
-      if (name) labels.push({ name, color, left, top, bottom });
+      if (name) labels.push({ name: exceeded ? `▲ ${name}` : name, color, left, top, bottom });
     }
     this._label(labels, plane.width * zoom, plane.height * zoom);
   }
