@@ -132,7 +132,7 @@ def test_panels_are_folded_enlarged_and_put_beside_the_maps_and_a_browser_keeps_
     page.get_by_role("button", name="Zoom out").click()
     page.locator("#force-span", has_text="last 15 s").wait_for()
     page.locator("#forces").hover()
-    page.mouse.wheel(0, 400)
+    page.mouse.wheel(0, -400)
     page.locator("#force-span", has_text="to").wait_for()  # a part that stays where it is
     page.mouse.dblclick(*(page.box("#forces")[each] + 100 for each in "xy"))
     page.locator("#force-span", has_text="last 10 s").wait_for()

@@ -41,7 +41,7 @@ def test_the_page_follows_the_unit_of_the_sensor(serve, open_page):
     assert CLAIM.findall(text) == []
     assert text.count("counts") > 12
     assert text.count("counts·mm²") > 5
-    assert page.text("peak-raw", "noise") == ["800.0", "0.3 counts"]
+    assert page.text("peak-raw", "noise") == ["800", "0.3 counts"]
     lines = page.download("c").read_text().splitlines()
     assert next(line for line in lines if line[0] != "#").split(",")[5] == "counts"
     ends = page.wait("window.drawn.filter(each => each.id === 'colorbar' && each.text === '10000')")
