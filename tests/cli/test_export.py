@@ -13,6 +13,8 @@ import h5py
 import numpy as np
 import pytest
 from mcap.reader import make_reader
+from mcap.records import SummaryOffset
+from mcap.stream_reader import StreamReader
 from mcap_protobuf.decoder import DecoderFactory
 from pyarrow import parquet
 
@@ -186,16 +188,31 @@ def topics(path):
         return by_topic, next(iter(reader.iter_metadata())).metadata["json"]
 
 
+def check_mcap(path):
+    """What `mcap doctor` reports: log times that fall, channels without messages, offsets to nothing."""
+    with path.open("rb") as file:
+        reader = make_reader(file)
+        times = [each.log_time for _, _, each in reader.iter_messages(log_time_order=False)]
+        summary = reader.get_summary()
+        file.seek(0)
+        offsets = [each for each in StreamReader(file).records if isinstance(each, SummaryOffset)]
+    assert times == sorted(times)
+    assert min(summary.statistics.channel_message_counts[number] for number in summary.channels) > 0
+    assert len(summary.channels) == len(summary.statistics.channel_message_counts)
+    assert all(each.group_length for each in offsets)
+
+
 def test_mcap_holds_images_and_messages_in_foxgloves_schemas(tmp_path, config, lossy):
     npz = np.load(exported(lossy, config, tmp_path / "a.npz"))
-    got, provenance = topics(exported(lossy, config, tmp_path / "a.mcap"))
+    check_mcap(exported(lossy, config, tmp_path / "a.mcap"))
+    got, provenance = topics(tmp_path / "a.mcap")
     assert json.loads(provenance) == json.loads(npz["provenance"].item())
     for name in ("raw", "restored"):
         assert {each.schema.name for each in got[f"/palm/{name}"]} == {"foxglove.Grid"}
         grids = [pressures(each.decoded_message) for each in got[f"/palm/{name}"]]
         np.testing.assert_array_equal(grids, npz[name])
     assert [each.decoded_message["method"] for each in got["/palm/status"]] == npz["method"].tolist()
-    times = [each.message.log_time for each in got["/palm/raw"]]
+    times = [each.message.publish_time for each in got["/palm/raw"]]
     np.testing.assert_allclose(np.array(times) * 1e-9, npz["time"], atol=1e-6)
     assert [(each.decoded_message["id"], b64decode(each.decoded_message["data"])) for each in got["/can0"]] == [
         (each.id, bytes(each.data)) for each in recording.read(lossy)
