@@ -34,7 +34,7 @@ HEAD = """\
 BUS = """
 [bus.can{number}]{port}
 interface = "socketcan"
-channel = "can{number}"                # EDIT
+channel = "can{number}"                # EDIT: where the boards are
 """
 SENSOR = """
 [sensor.{name}]

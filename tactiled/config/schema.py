@@ -268,7 +268,7 @@ class Sensor(Section):
     """One array on one bus; without `bus` and `codec` one whose frames a program pushes."""
 
     bus: Name
-    """Name of the bus that it sends on."""
+    """Name of the bus that it sends on; without `bus` and `codec` frames are pushed."""
     codec: Codec
     array: Array = Array()
     cover: Layers

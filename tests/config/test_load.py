@@ -1,8 +1,11 @@
 import pytest
 
-from tactiled.config import load, parse
+from tactiled.build import make_array, make_codec
+from tactiled.bus import skins
+from tactiled.config import load, parse, ready
 from tactiled.config.example import EXAMPLE
 from tactiled.errors import ConfigError
+from tactiled.plausibility.settings import unedited
 
 COVER = "sensor.palm.cover[0]"
 
@@ -83,6 +86,19 @@ def test_two_sensors_of_one_name_in_ros_are_an_error_where_ros_is_used():
     assert len(parse(text).sensor) == 2
     with pytest.raises(ConfigError, match=r"sensor.left-palm and sensor.left_palm: both are left_palm in ROS 2"):
         parse(f'{text}\n[zenoh]\nlisten = ["tcp/127.0.0.1:7447"]\nros_domain = 0\n')
+
+
+@pytest.mark.parametrize("name", ready.READY)
+def test_the_configuration_of_every_skin_is_complete_and_doubtful_until_it_is_edited(name):
+    text = ready.configuration(name)
+    (sensor,) = parse(text).sensor.values()
+    assert make_codec(sensor).size == make_array(sensor).size
+    assert len(unedited(text)) >= 1 + (name != "pushed")
+
+
+def test_every_skin_with_messages_of_its_own_has_a_configuration():
+    named = {parse(ready.configuration(each)).sensor["skin"].codec.name for each in ready.READY}
+    assert named == {*skins.BUILT_IN} - {"dbc", "packed"}  # which describe any array
 
 
 def test_a_sensor_without_bus_and_codec_has_a_bus_of_its_own():
