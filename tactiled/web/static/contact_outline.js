@@ -17,21 +17,42 @@ const PEAK_SHARE = 0.1; // of its contact's peak: as the service's contacts have
 const WITHIN_DEVIATIONS = 3; // of its pressure, from a contact's centre to cells that are its own
 const SAME_PITCHES = 2; // between the centres of a contact and of cells that hang together, where they are the same
 const SAME_RATIO = 1.5; // of their forces
+const SHAPE = 6; // numbers of a contact's shape
+const MIN_AXIS_MM = 0.1;
 
-/** @param {Contact} contact @param {number} x mm @param {number} y mm @returns {number} standard deviations of its pressure from its centre */
-function distance({ x_mm, y_mm, major_mm, minor_mm, angle_rad }, x, y) {
-  const [cos, sin] = [Math.cos(angle_rad), Math.sin(angle_rad)];
-  const [dx, dy] = [x - x_mm, y - y_mm];
-  return Math.hypot((dx * cos + dy * sin) / Math.max(major_mm, 0.1), (dy * cos - dx * sin) / Math.max(minor_mm, 0.1));
+/** @param {Contact} contact @param {Float64Array} shapes @param {number} n its number in them */
+function shape({ x_mm, y_mm, major_mm, minor_mm, angle_rad }, shapes, n) {
+  const major = Math.max(major_mm, MIN_AXIS_MM);
+  const minor = Math.max(minor_mm, MIN_AXIS_MM);
+  const at = SHAPE * n;
+  shapes[at] = x_mm;
+  shapes[at + 1] = y_mm;
+  shapes[at + 2] = Math.cos(angle_rad) / major;
+  shapes[at + 3] = Math.sin(angle_rad) / major;
+  shapes[at + 4] = Math.cos(angle_rad) / minor;
+  shapes[at + 5] = Math.sin(angle_rad) / minor;
 }
 
-/** @param {Contact[]} contacts @param {number} x mm @param {number} y mm @param {Set<number>|null} of these; null: of all @returns {number} */
-function nearest(contacts, x, y, of) {
-  let [best, least] = [0, Infinity];
-  for (let n = 0; n < contacts.length; n += 1) {
+/** @param {Float64Array} shapes @param {number} n of a contact @param {number} x mm @param {number} y mm @returns {number} standard deviations of its pressure from its centre */
+function distance(shapes, n, x, y) {
+  const at = SHAPE * n;
+  const dx = x - shapes[at];
+  const dy = y - shapes[at + 1];
+  const along = dx * shapes[at + 2] + dy * shapes[at + 3];
+  const across = dy * shapes[at + 4] - dx * shapes[at + 5];
+  return Math.sqrt(along * along + across * across);
+}
+
+/** @param {Float64Array} shapes @param {number} x mm @param {number} y mm @param {Set<number>|null} of these contacts; null: of all @returns {number} */
+function nearest(shapes, x, y, of) {
+  let best = 0;
+  let least = Infinity;
+  for (let n = 0; n < shapes.length / SHAPE; n += 1) {
     if (of && !of.has(n)) continue;
-    const far = distance(contacts[n], x, y);
-    if (far < least) [best, least] = [n, far];
+    const far = distance(shapes, n, x, y);
+    if (far >= least) continue;
+    best = n;
+    least = far;
   }
   return best;
 }
@@ -72,6 +93,7 @@ export class ContactOutline {
     this._owners = new Uint8Array(0);
     this._parts = new Uint16Array(0);
     this._queue = new Uint32Array(0);
+    this._shapes = new Float64Array(0); // of contacts: centre, mm, and what makes standard deviations of an offset
     this._sequence = -1;
     /** @type {Contact[]|null} */
     this._contacts = null;
@@ -96,6 +118,7 @@ export class ContactOutline {
       this.extents = new Uint16Array(4 * n);
       this.centres = new Float32Array(2 * n);
       this._weights = new Float32Array(n);
+      this._shapes = new Float64Array(SHAPE * n);
     }
     for (const each of [this.cells, this.outlined, this.extents, this.centres, this._weights]) each.fill(0);
     if (!contacts || !n) return;
@@ -146,11 +169,12 @@ export class ContactOutline {
    * @param {number} floor pressure that a cell exceeds
    */
   _own({ restored: values, unit = 0 }, { restored: { x, y, count, rows, columns, area }, pitch }, contacts, floor) {
-    const { _owners: owners, _parts: parts, _queue: queue } = this;
+    const { _owners: owners, _parts: parts, _queue: queue, _shapes: shapes } = this;
     parts.fill(0);
+    contacts.forEach((each, n) => shape(each, shapes, n));
     for (let i = 0; i < count; i += 1) {
       if (!(values[i] > floor)) continue;
-      const near = nearest(contacts, x[i], y[i], null);
+      const near = nearest(shapes, x[i], y[i], null);
       if (values[i] > PEAK_SHARE * contacts[near].peak) owners[i] = near + 1;
     }
     /** @type {Part[]} */
@@ -167,7 +191,8 @@ export class ContactOutline {
         part.force += force;
         part.x += force * x[i];
         part.y += force * y[i];
-        const [row, column] = [Math.floor(i / columns), i % columns];
+        const column = i % columns;
+        const row = (i - column) / columns;
         for (let r = Math.max(0, row - 1); r <= Math.min(rows - 1, row + 1); r += 1) {
           for (let c = Math.max(0, column - 1); c <= Math.min(columns - 1, column + 1); c += 1) {
             const beside = r * columns + c;
@@ -185,14 +210,14 @@ export class ContactOutline {
     for (const each of owned) left.delete(each);
     for (let i = 0; i < count; i += 1) {
       if (!owners[i] || owned[parts[i] - 1] >= 0 || !left.size) continue;
-      const near = nearest(contacts, x[i], y[i], left);
-      if (distance(contacts[near], x[i], y[i]) <= WITHIN_DEVIATIONS) found[parts[i] - 1].near.add(near);
+      const near = nearest(shapes, x[i], y[i], left);
+      if (distance(shapes, near, x[i], y[i]) <= WITHIN_DEVIATIONS) found[parts[i] - 1].near.add(near);
     }
     for (let i = 0; i < count; i += 1) {
       if (!owners[i]) continue;
       const part = parts[i] - 1;
       const { near } = found[part];
-      owners[i] = owned[part] >= 0 ? owned[part] + 1 : near.size ? nearest(contacts, x[i], y[i], near) + 1 : 0;
+      owners[i] = owned[part] >= 0 ? owned[part] + 1 : near.size ? nearest(shapes, x[i], y[i], near) + 1 : 0;
     }
   }
 

@@ -108,7 +108,8 @@ function fill(into, rings, values, first, last, zero) {
       if (values[at] < values[low] || Number.isNaN(values[low])) low = at;
       if (values[at] > values[high] || Number.isNaN(values[high])) high = at;
     }
-    const [one, other] = rings.times[low] <= rings.times[high] ? [low, high] : [high, low];
+    const one = rings.times[low] <= rings.times[high] ? low : high;
+    const other = one === low ? high : low;
     add(into, rings.times[one] - zero, values[one]);
     if (other !== one) add(into, rings.times[other] - zero, values[other]);
     if (gap) add(into, rings.times[other] - zero, NaN);
