@@ -20,6 +20,7 @@ COVER = "sensor.palm.cover[0]"
         ("thickness_mm = 1.2", 'thickness_mm = "1.2 mm"', COVER + ".thickness_mm = '1.2 mm': "),
         ("young_mpa = 0.6", "young_mpa = nan", COVER + ".young_mpa = nan: give 0.001 to 1e7 MPa"),
         ("poisson = 0.48", "poisson = 0.5", COVER + ".poisson = 0.5: give 0 to 0.49999"),
+        ("id = 0x500", "id = 0x20000000", "sensor.palm.codec.base_id = 0x20000000: give 0x0 to 0x1ffffff0"),
         ("bits = 12 ", "bits = 20 ", "sensor.palm.codec.bits = 20: give 8 to 16"),
         ("bits = 12 ", 'bits = "12" ', "sensor.palm.codec.bits = '12': Input should be a valid integer"),
         ("young_mpa = 0.6", "young_mpa = true", COVER + ".young_mpa = True: Input should be a valid number"),

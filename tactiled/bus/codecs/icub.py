@@ -64,7 +64,7 @@ class Icub(BatchCodec, ClassicSkin):
     """Time between two frames of a board that the service starts."""
     shift: Annotated[int, Bounds(0, 15)] = 2
     """Bits that the board drops from a reading: one more halves the gain and doubles the range."""
-    cdc_offset: Annotated[int, Bounds(0, 0xFFFF)] = 0x2200
+    cdc_offset: Annotated[int, Bounds(0, 0xFFFF, hexadecimal=True)] = 0x2200
     """Offset of the board's capacitance converter."""
     no_load: Annotated[int, Bounds(1, 254, "counts")] = 240
     """Counts of an unloaded taxel; the board gets them at its start."""

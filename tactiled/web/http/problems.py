@@ -34,6 +34,7 @@ STATUSES: dict[type[TactileError], int] = {
 }  # fmt: skip
 SOON = {"Retry-After": "1"}
 VERBS = ("DELETE", "GET", "PATCH", "POST", "PUT")
+ELLIPSIS = " …"
 MAX_REASON_BYTES = 123  # of a WebSocket's close frame (RFC 6455, 5.5)
 
 
@@ -56,8 +57,11 @@ def _encoded(text: str) -> bytes:
 
 
 def close_reason(reason: str) -> str:
-    """As much of a reason as a close frame holds."""
-    return _encoded(reason)[:MAX_REASON_BYTES].decode(errors="ignore")
+    """A reason, or as many of its words as a close frame holds, with an ellipsis."""
+    text = _encoded(reason)
+    if len(text) <= MAX_REASON_BYTES:
+        return text.decode()
+    return text[: MAX_REASON_BYTES - len(ELLIPSIS.encode())].decode(errors="ignore").rsplit(" ", 1)[0] + ELLIPSIS
 
 
 def refused(error: TactileError) -> Response:
