@@ -7,7 +7,7 @@ from tactiled.bus.codec import Codec
 from tactiled.errors import BusError
 from tactiled.frames import Counts
 
-SEND_S = 1.0  # to wait for room in the queue of a reader that does not keep up
+SEND_S = 5.0  # to wait for room in the queue of a reader that does not keep up
 
 
 class Pusher:

@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from hashlib import blake2b
 from itertools import count
-from struct import Struct, pack
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from rosbags.interfaces import Qos, QosDurability, QosReliability
@@ -20,7 +19,7 @@ from tactiled.config import ros_name
 from tactiled.contacts.detection import Contact
 from tactiled.frames import Image
 from tactiled.interop import ros
-from tactiled.interop.ros_types import RELIABLE
+from tactiled.interop.ros_types import RELIABLE, TRIGGER_RESPONSE
 from tactiled.interop.zenoh_session import REQUEST_S, Answer, Request
 from tactiled.runtime.sensor import Sensor
 
@@ -30,7 +29,6 @@ if TYPE_CHECKING:
 LOG = logging.getLogger(__name__)
 TRIGGER = "std_srvs::srv::dds_::Trigger_/RIHS01_eeff2cd6fa5ad9d27cdf4dec64818317839b62f212a91e6b5304b634b2062c5f"
 GID_BYTES = 16
-ATTACHMENT = Struct(f"<qqB{GID_BYTES}s")  # number of the message, time (ns, Unix), and length and bytes of the GID
 MISS_HEARTBEAT_S = 0.5  # within which a subscriber learns that a transient-local message got lost
 TARE_LOOK_S = 0.02  # from one look whether a tare has ended to the next
 OF_CONTACTS = frozenset({"tactile", "wrench", "markers"})  # topics that need contacts
@@ -78,8 +76,7 @@ class _Writer:
     def put(self, cdr: memoryview) -> None:
         """Send a message."""
         self._number += 1
-        head = ATTACHMENT.pack(self._number, time.time_ns(), GID_BYTES, self._gid)
-        self._publisher.put(bytes(cdr), attachment=head)
+        self._publisher.put(bytes(cdr), attachment=attachment(self._number, self._gid))
 
     def undeclare(self) -> None:
         """Take the topic back."""
@@ -173,18 +170,18 @@ class Node:
     def _answer(self, query: "zenoh.Query") -> None:
         """Tare, and reply with the number and GID of the request."""
         with query:
-            attachment = query.attachment.to_bytes() if query.attachment else b""
-            if len(attachment) != ATTACHMENT.size:
-                query.reply_err(f"an attachment of {len(attachment)} bytes: expected {ATTACHMENT.size}")
+            try:
+                number, gid = _request(query)
+            except ValueError as error:
+                query.reply_err(str(error))
                 return
             try:
                 success, message = self._tare()
             except Exception as error:
                 LOG.exception("ROS 2: tare of %s failed", self._sensor.name)
                 success, message = False, f"{type(error).__name__}: {error}"
-            number, _, *gid = ATTACHMENT.unpack(attachment)
-            head = ATTACHMENT.pack(number, time.time_ns(), *gid)
-            query.reply(self._service.key(self._domain), trigger_response(success, message), attachment=head)
+            answer = bytes(self._topics.types.cdr(TRIGGER_RESPONSE, {"success": success, "message": message}))
+            query.reply(self._service.key(self._domain), answer, attachment=attachment(number, gid))
 
     def _tare(self) -> tuple[bool, str]:
         """Whether a tare was done, and in words how it ended; waits for the end."""
@@ -213,7 +210,23 @@ class Node:
             each.undeclare()
 
 
-def trigger_response(success: bool, message: str) -> bytes:
-    """CDR, little endian, of std_srvs/srv/Trigger's response."""
-    text = message.encode() + b"\0"
-    return pack(f"<4sB3xI{len(text)}s", b"\0\1\0\0", success, len(text), text)
+def attachment(number: int, gid: bytes) -> "zenoh.ZBytes":
+    """What rmw_zenoh has beside a message: its number, the time (ns, Unix) and the GID of its sender."""
+    from zenoh import ext
+
+    return ext.z_serialize((ext.Int64(number), ext.Int64(time.time_ns()), gid))
+
+
+def _request(query: "zenoh.Query") -> tuple[int, bytes]:
+    """Number and GID of a request; ValueError where its attachment is not `attachment`'s."""
+    import zenoh
+    from zenoh import ext
+
+    data = query.attachment or zenoh.ZBytes(b"")
+    try:
+        number, _, gid = ext.z_deserialize(tuple[ext.Int64, ext.Int64, bytes], data)
+    except ext.ZDeserializeError:
+        gid = b""
+    if len(gid) != GID_BYTES:
+        raise ValueError(f"an attachment of {len(data)} bytes: give number, time and GID")
+    return number, gid

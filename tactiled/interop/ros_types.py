@@ -11,7 +11,9 @@ from tactiled.frames import FLAG_BITS
 
 DISTRIBUTION = Stores.ROS2_HUMBLE  # the types used here are the same in every later one up to Lyrical
 FOREVER = QosTime(9223372036, 854775807)
+TRIGGER_RESPONSE = "std_srvs/msg/TriggerResponse"  # of std_srvs/srv/Trigger; rosbags has names of messages alone
 DEFINITIONS = {  # fields, parted by commas
+    TRIGGER_RESPONSE: "bool success, string message",
     "tactiled_msgs/msg/TactileContact": """uint32 id, float32 x_mm, float32 y_mm, float32 force, float32 peak,
         float32 area_mm2, float32 major_mm, float32 minor_mm, float32 angle_rad""",
     "tactiled_msgs/msg/TactileArray": ",".join(f"uint8 {name}={bit}" for name, bit in FLAG_BITS.items())

@@ -13,6 +13,7 @@ import numpy as np
 
 from tactiled.build import make_array, make_calibration, make_codec
 from tactiled.bus.codec import Codec, whole_counts
+from tactiled.bus.codecs.dbc import Dbc
 from tactiled.calibrate.calibration import Calibration
 from tactiled.config import schema
 from tactiled.errors import TactileError
@@ -39,6 +40,7 @@ MIN_RANGE_FRACTION = 0.1  # of the full scale, from no load in the direction of 
 MAX_NOISE_FRACTION = 0.2  # of the range
 MAX_STALE_S = 60.0  # robots react within seconds; slow surveys may want more
 MESSAGE_S = 1e-4  # on the bus: 8 bytes at 1 Mbit/s are 111 bits, 64 bytes of CAN FD at 8 Mbit/s as long
+KPA = {"Pa": 1e-3, "hPa": 0.1, "mbar": 0.1, "kPa": 1.0, "bar": 100.0, "MPa": 1e3}  # of units in DBC files
 EDIT = re.compile(r"#\s*EDIT:")  # how `tactiled sniff` marks what a bus does not tell
 
 
@@ -89,6 +91,17 @@ def _sensor(place: str, sensor: schema.Sensor) -> Iterator[Finding]:
     yield from _shell(place, sensor)
     yield from _calibration(f"{place}.calibration", sensor.calibration, calibration, codec)
     yield from _age(f"{place}.stale_after_s", sensor.stale_after_s, codec)
+    if isinstance(codec, Dbc) and sensor.calibration.kpa_per_count is None and calibration.curves is None:
+        yield from _scaling(f"{place}.calibration", codec)
+
+
+def _scaling(place: str, codec: Dbc) -> Iterator[Finding]:
+    """What a DBC file says of its signals' pressure, which no setting says."""
+    scale, offset, unit = codec.scaling or (0.0, 0.0, "")
+    if unit in KPA and scale:
+        values = f"kpa_per_count = {scale * KPA[unit]:g} and no_load = {-offset / scale:g}"
+        reason = f"counts without kpa_per_count; {values} by scale, offset and unit of the DBC file"
+        yield Finding(place, "", reason, hint=True)
 
 
 def _slip(value: float, unit: str, units: Mapping[str, float], low: float, high: float) -> str:

@@ -184,3 +184,6 @@ def test_the_service_is_refused_where_a_change_needs_a_claim(network):
     success, message = trigger(session)
     assert not success
     assert "server.control_token" in message
+    for attachment in (None, b"0" * 32):
+        (refusal,) = session.get(TARE, attachment=attachment, timeout=BUSY_S)
+        assert f"an attachment of {len(attachment or b'')} bytes" in refusal.err.payload.to_string()

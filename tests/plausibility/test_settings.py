@@ -121,6 +121,21 @@ def test_a_grid_that_is_given_as_positions_is_only_a_hint():
     assert not hints(places[:-1])
 
 
+def test_scale_and_unit_of_a_dbc_file_are_offered():
+    def hints(signals, calibration=""):
+        taxels = [f"Row{signals}.T{signals}_{column}" for column in range(3)]
+        codec = f'name = "dbc", file = "{DBC}", taxels = {taxels}'
+        return findings(toml(codec, (1, 3, 4.0), [(1.0, 0.5, 0.48)], [], calibration), hints=True)
+
+    (hint,) = hints(0)
+    assert hint == (
+        "sensor.a.calibration: counts without kpa_per_count; "
+        "kpa_per_count = 0.05 and no_load = 80 by scale, offset and unit of the DBC file"
+    )
+    assert not hints(0, "kpa_per_count = 0.05")
+    assert not hints(1)  # no unit
+
+
 def test_what_may_be_meant_is_only_a_hint():
     (hint,) = findings(EXAMPLE.replace("stale_after_s = 0.5", "stale_after_s = 500"), hints=True)
     assert hint.endswith("a skin that fell silent passes for alive all that time; 0.5 s if it was given in ms")

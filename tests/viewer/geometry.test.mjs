@@ -6,6 +6,7 @@ import { highestAlong, sample } from "../../tactiled/web/static/cross_section.js
 import { ContactOutline } from "../../tactiled/web/static/contact_outline.js";
 import { Plane } from "../../tactiled/web/static/geometry.js";
 import { measure, measures } from "../../tactiled/web/static/measures.js";
+import { placeNames } from "../../tactiled/web/static/region_layer.js";
 import { cellsIn, measureRegion } from "../../tactiled/web/static/region_measure.js";
 
 /** A grid at a pitch of 2 mm, restored at the same cells. */
@@ -134,4 +135,10 @@ test("a ring in two halves has its own cells alone, not the bead in its middle o
   outline.update({ sequence: 1, noise: 0.5, noiseGain: 1, restored }, plane, [...halves, bead].map(contact), 2);
   assert.deepEqual([...outline.cells], [halves[0].length, halves[1].length, 1]);
   assert.deepEqual([...outline.outlined], [1, 1, 0]);
+});
+
+test("names of regions stay on the map and cover no other", () => {
+  const name = (left, top, bottom) => ({ name: "heel", color: "", left, top, bottom });
+  const places = placeNames([name(10, 20, 60), name(20, 20, 60), name(180, 150, 196), name(15, 10, 62)], 200, 200, () => 40);
+  assert.deepEqual(places.map(({ x, y }) => [x, y]), [[12, 73], [22, 16], [158, 146], [17, 58]]);
 });

@@ -105,20 +105,11 @@ def test_a_recording_plays_is_sought_and_stepped_through_and_the_live_view_is_ba
     assert "recording=" not in page.url
 
 
-def test_another_recording_begins_with_the_method_of_the_sensor(recorded, open_page):
+def test_details_that_come_late_or_again_and_another_recording_begins_with_the_method_of_the_sensor(
+    recorded, open_page
+):
     url, folder = recorded
     (folder / "second.log").write_bytes((folder / "grasp.log").read_bytes())
-    page = open_page(f"{url}/#palm?recording=grasp.log", ready=PLAYS)
-    page.get_by_label("Method").select_option("raw")
-    page.wait(f"{RAN_RAW} && {WHY}")
-    assert page.get_by_label("Method").input_value() == "raw"
-    open_recording(page, "second.log")
-    page.wait("document.getElementById('method-used').innerText === 'Wiener filter'")
-    assert page.get_by_label("Method").input_value() == "wiener"
-
-
-def test_details_that_were_requested_before_another_method_or_region_are_dropped(recorded, open_page):
-    url, _ = recorded
     page = open_page(f"{url}/#palm?recording=grasp.log", ready=PLAYS)
     page.wait(WHY)
 
@@ -134,19 +125,20 @@ def test_details_that_were_requested_before_another_method_or_region_are_dropped
             page.evaluate("new Promise(done => setTimeout(done, 400))")  # it reads its regions every 200 ms
         route.fulfill(response=answer)
 
+    # Details that were requested before another method or region are dropped.
     page.route("**/grasp.log/frames/1?*", answer_late, times=2)
     page.press("ArrowRight")
     page.wait(f"Number(document.querySelector('#regions td')?.innerText) > 0 && {WHY}")
-
-
-def test_the_banner_goes_once_details_come_again(recorded, open_page):
-    url, _ = recorded
-    page = open_page(f"{url}/#palm?recording=grasp.log", ready=PLAYS)
-    page.route("**/grasp.log/frames/1?*", lambda route: route.abort())
+    # The banner goes once details come again.
+    page.route("**/grasp.log/frames/2?*", lambda route: route.abort())
     page.press("ArrowRight")
     page.wait(f"{BANNER} && {LEVEL} === 'disconnected'")
-    page.unroute("**/grasp.log/frames/1?*")
+    page.unroute("**/grasp.log/frames/2?*")
     page.wait(f"{PLAYS} && {WHY} && !{BANNER}")
+    assert page.get_by_label("Method").input_value() == "raw"
+    open_recording(page, "second.log")
+    page.wait("document.getElementById('method-used').innerText === 'Wiener filter'")
+    assert page.get_by_label("Method").input_value() == "wiener"
     page.finish("ERR_FAILED")
 
 

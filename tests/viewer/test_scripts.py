@@ -24,19 +24,17 @@ console.log(JSON.stringify([METHODS, ...messages.map(each => fields(parse(each, 
 """
 
 
-def check_types(folder):
-    assert TSC.exists(), "no TypeScript: sh tests/run installs it"
-    settings = (FOLDER / "tsconfig.json").read_text()
-    (folder / "tsconfig.json").write_text(settings.replace("../../tactiled/web/static/", f"{folder}/"))
-    return subprocess.run([TSC, "-p", folder], capture_output=True, text=True)
-
-
 def test_types_agree_and_a_wrong_one_is_found(tmp_path):
+    assert TSC.exists(), "no TypeScript: sh tests/run installs it"
     shutil.copytree(STATIC, tmp_path, dirs_exist_ok=True)
-    assert check_types(tmp_path).stdout == ""
-    script = tmp_path / "display_range.js"
-    script.write_text(script.read_text().replace("this.auto = true;", 'this.auto = "yes";', 1))
-    assert "display_range.js" in check_types(tmp_path).stdout
+    settings = (FOLDER / "tsconfig.json").read_text()
+    (tmp_path / "tsconfig.json").write_text(settings.replace("../../tactiled/web/static/", f"{tmp_path}/"))
+    script = (tmp_path / "display_range.js").read_text()
+    (tmp_path / "wrong.js").write_text(script.replace("this.auto = true;", 'this.auto = "yes";', 1))
+    done = subprocess.run([TSC, "-p", tmp_path], capture_output=True, text=True, cwd=tmp_path)
+    found = [line for line in done.stdout.splitlines() if not line.startswith(" ")]
+    assert found
+    assert all(line.startswith("wrong.js(") for line in found), done.stdout
 
 
 def test_logic():

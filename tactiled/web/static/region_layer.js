@@ -64,31 +64,42 @@ export class RegionLayer {
     this._label(labels, plane.width * zoom, plane.height * zoom);
   }
 
-  /**
-   * Write each name below its region, as labels of contacts are above them; else above or in it; none over another.
-   * @param {{name: string, color: string, left: number, top: number, bottom: number}[]} labels px
-   * @param {number} width px, of the map
-   * @param {number} height px
-   */
-  _label(labels, width, height) {
+  /** @param {Name[]} names @param {number} width px, of the map @param {number} height px */
+  _label(names, width, height) {
     const draw = context2d(this._canvas);
-    /** @type {{x: number, y: number, wide: number}[]} */
-    const placed = [];
     draw.lineWidth = 3;
     draw.strokeStyle = "rgb(0 0 0 / 80%)";
-    for (const { name, color, left, top, bottom } of labels) {
-      const wide = draw.measureText(name).width;
-      const x = Math.max(2, Math.min(width - wide - 2, left + 2));
-      const free = (/** @type {number} */ y) => y >= TEXT_PX && y <= height - 4
-        && placed.every((each) => Math.abs(each.y - y) > TEXT_PX || each.x > x + wide || x > each.x + each.wide);
-      const y = [bottom + TEXT_PX + 1, top - 4, top + TEXT_PX + 2, bottom - 4, (top + bottom) / 2].find(free);
-      if (y === undefined) continue;
-      placed.push({ x, y, wide });
+    for (const { name, color, x, y } of placeNames(names, width, height, (text) => draw.measureText(text).width)) {
       draw.fillStyle = color;
       draw.strokeText(name, x, y);
       draw.fillText(name, x, y);
     }
   }
+}
+
+/** @typedef {{name: string, color: string, left: number, top: number, bottom: number}} Name of a region that is there, px */
+
+/**
+ * Place each name below its region, as labels of contacts are above them; else above or in it.
+ * @param {Name[]} names
+ * @param {number} width px, of the map
+ * @param {number} height px
+ * @param {(text: string) => number} widthOf a text, px
+ * @returns {(Name & {x: number, y: number, wide: number})[]} those that are on the map and over no other, by their lower left corner
+ */
+export function placeNames(names, width, height, widthOf) {
+  /** @type {(Name & {x: number, y: number, wide: number})[]} */
+  const placed = [];
+  for (const each of names) {
+    const { left, top, bottom } = each;
+    const wide = widthOf(each.name);
+    const x = Math.max(2, Math.min(width - wide - 2, left + 2));
+    const free = (/** @type {number} */ y) => y >= TEXT_PX && y <= height - 4
+      && placed.every((other) => Math.abs(other.y - y) > TEXT_PX || other.x > x + wide || x > other.x + other.wide);
+    const y = [bottom + TEXT_PX + 1, top - 4, top + TEXT_PX + 2, bottom - 4, (top + bottom) / 2].find(free);
+    if (y !== undefined) placed.push({ ...each, x, y, wide });
+  }
+  return placed;
 }
 
 /** Mark the corner at which a polygon is closed. @param {CanvasRenderingContext2D} draw @param {number[]} place px */
