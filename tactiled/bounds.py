@@ -22,16 +22,22 @@ from tactiled.units import LENGTH
 
 @dataclass(frozen=True, slots=True)
 class Bounds:
-    """A number from `low` to `high`, both included; with `zero` it may be 0, with `signed` of either sign, too."""
+    """A number from `low` to `high`, both included; with `zero` it may be 0, with `signed` of either sign, too.
+
+    `hexadecimal` is how configurations write it.
+    """
 
     low: float
     high: float
     unit: str = ""
     zero: bool = False
     signed: bool = False
+    hexadecimal: bool = False
 
     def __str__(self) -> str:
         """The range in words, for errors."""
+        if self.hexadecimal:
+            return f"{self.low:#x} to {self.high:#x}"
         low, high = (
             f"{end:g}".replace("e+0", "e") if isinstance(end, float) else f"{end}" for end in (self.low, self.high)
         )

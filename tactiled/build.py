@@ -1,7 +1,7 @@
 """The composition root: from a checked configuration to arrays, stacks, codecs and plans."""
 
 import logging
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -87,12 +87,12 @@ class SensorPlan:
 def sensor_plans(config: schema.Config, report: Report = lambda _: None) -> tuple[SensorPlan, ...]:
     """Plan every sensor; a TactileError names the sensor, or the two that want the same messages of a bus.
 
-    `report` gets a line before each, as that may take seconds.
+    `report` gets a line before each whose cover must be solved, as that may take seconds.
     """
     plans: list[SensorPlan] = []
     for name, sensor in config.sensor.items():
-        report(f"{name}: solving the cover ({len(plans) + 1} of {len(config.sensor)})")
-        plans.append(sensor_plan(name, sensor))
+        text = f"{name}: solving the cover ({len(plans) + 1} of {len(config.sensor)})"
+        plans.append(sensor_plan(name, sensor, solving=partial(report, text)))
     check_buses(config, plans)
     return tuple(plans)
 
@@ -115,13 +115,19 @@ def check_buses(config: schema.Config, plans: Iterable[SensorPlan]) -> None:
         Router(each)
 
 
-def sensor_plan(name: str, sensor: schema.Sensor, file: CalibrationFile | None = None) -> SensorPlan:
+def sensor_plan(
+    name: str,
+    sensor: schema.Sensor,
+    file: CalibrationFile | None = None,
+    solving: Callable[[], object] = lambda: None,
+) -> SensorPlan:
     """Solve the cover and build the operator of one sensor; a TactileError names the sensor.
 
-    With `file` it is calibrated by that one, else by the configured one where it is there.
+    With `file` it is calibrated by that one, else by the configured one where it is there. `solving` is called
+    before a cover is solved that is not in the cache.
     """
     try:
-        return _plan(name, sensor, file or configured_file(sensor))
+        return _plan(name, sensor, file or configured_file(sensor), solving)
     except TactileError as error:
         raise type(error)(f"sensor.{name}: {error}") from error
 
@@ -137,7 +143,9 @@ def without_file(sensor: schema.Sensor) -> schema.Sensor:
     return sensor.model_copy(update={"calibration": sensor.calibration.model_copy(update={"file": None})})
 
 
-def _plan(name: str, sensor: schema.Sensor, file: CalibrationFile | None) -> SensorPlan:
+def _plan(
+    name: str, sensor: schema.Sensor, file: CalibrationFile | None, solving: Callable[[], object]
+) -> SensorPlan:
     array, codec = make_array(sensor), make_codec(sensor)
     if codec.size != array.size:
         raise ConfigError(f"the codec carries {codec.size} taxels and the array has {array.size}: they must agree")
@@ -151,7 +159,7 @@ def _plan(name: str, sensor: schema.Sensor, file: CalibrationFile | None) -> Sen
     Calibrator(calibration, array.size)  # refuses a dead taxel that the array does not have
     _check_cells(array, sensor.refine)
     cover = file.cover if file else None
-    kernel = make_kernel(sensor.kernel, stack, cover)
+    kernel = make_kernel(sensor.kernel, stack, cover, solving)
     blur = make_blur(kernel, array, sensor.refine)
     if cover:
         blur.thickness_error = cover.fit.thickness_error
@@ -277,11 +285,13 @@ def _grid_blur(kernel: Kernel, array: Array, refine: int) -> GridBlur:
     return GridBlur(partial(cached_table, stencil, kernel, array), array.shape, refine, array.pitch / refine)
 
 
-def make_kernel(settings: schema.Kernel, stack: Stack, cover: CoverSection | None) -> Kernel:
+def make_kernel(
+    settings: schema.Kernel, stack: Stack, cover: CoverSection | None, solving: Callable[[], object] = lambda: None
+) -> Kernel:
     """The cover as configured and as thick as it was fitted, or as measured; ConfigError where it was not."""
     if settings.model != "measured":
         stack = stack.thickened(cover.factor) if cover else stack
-        return cached(stack, settings.model, settings.accuracy, report=LOG.warning)
+        return cached(stack, settings.model, settings.accuracy, report=LOG.warning, solving=solving)
     if cover is None or cover.kernel is None:
         raise ConfigError('kernel.model = "measured": the calibration file holds no kernel: give fem or layered')
     q, gain = (np.array(each) for each in cover.kernel)

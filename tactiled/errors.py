@@ -44,6 +44,10 @@ class LoadedError(TactileError):
         self.seen = seen
 
 
+class NotPushedError(TactileError):
+    """Frames are pushed into a sensor that reads a bus, or a recording."""
+
+
 class NoShearError(TactileError):
     """Shear of a sensor whose skin measures none."""
 

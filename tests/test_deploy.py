@@ -4,6 +4,8 @@ import json
 import re
 import shutil
 import subprocess
+import sys
+import tomllib
 from pathlib import Path
 from typing import get_args
 
@@ -70,3 +72,17 @@ def test_the_unit_has_few_rights_but_those_for_can_and_for_metrics_of_the_proces
     settings = dict(re.findall(r"^(\w+)=(.*)$", unit.read_text(), re.MULTILINE))
     assert "AF_CAN" in settings["RestrictAddressFamilies"].split()
     assert "ProcSubset" not in settings  # /proc/stat has the time that the machine started
+
+
+def test_the_client_by_itself_has_the_version_of_the_package_and_all_that_it_imports():
+    client = tomllib.loads((DEPLOY / "client/pyproject.toml").read_text())
+    whole = tomllib.loads((DEPLOY.parent / "pyproject.toml").read_text())
+    assert client["project"]["version"] == whole["project"]["version"] + "+client"
+    files = client["tool"]["hatch"]["build"]["targets"]["wheel"]["force-include"]
+    assert all(source == f"../../{target}" for source, target in files.items())
+    loaded = "import sys, tactiled.client; print(*sorted(n for n in sys.modules if n.startswith('tactiled')))"
+    modules = subprocess.run([sys.executable, "-c", loaded], check=True, capture_output=True, text=True).stdout
+    names, there = {name.replace(".", "/") for name in modules.split()}, {*files.values()}
+    forms = {name: {name, f"{name}.py", f"{name}/__init__.py", name.rpartition("/")[0]} for name in names}
+    assert "tactiled/client" in forms
+    assert not [name for name, each in forms.items() if not each & there]

@@ -18,9 +18,17 @@ from tactiled.frames import Image, Loss, Message
 from tactiled.units import PRESSURE
 
 Arrays = dict[str, NDArray[Any]]
+Attributes = dict[str, Any]
 LOSS_KINDS = tuple(each.name for each in fields(Loss))
 METHOD_NAME = "<U16"  # longer than any method's name
-FRAMES_AT_ONCE = 1024  # that are copied to HDF5
+FRAMES_AT_ONCE = 1024  # that are copied to HDF5, or stand in one chunk of Zarr or row group of Parquet
+CHUNK_BYTES = 4 << 20  # of a chunk's largest array, at most: 1024 frames of 32 x 32, 256 of 64 x 64
+LABELS = {
+    "loss_kind": "loss_kinds",
+    "region": "regions",
+    "measure": "region_measures",
+}  # where provenance has them
+NO_VARIABLE = "This is a netCDF dimension but not a netCDF variable.{:10d}"  # netCDF's name of such a scale
 
 
 class NpzWriter:
@@ -55,14 +63,12 @@ class NpzWriter:
             name: np.memmap(self._column(name), array.dtype, "r", shape=(self._count, *array.shape))
             for name, array in self._row.items()
         }
-        places = {"positions_mm": self._plan.array.positions, "cells_mm": self._plan.cells.positions}
-        self.save(self._path, columns | places, provenance)
+        self.save(columns | frameless(self._plan, provenance), provenance)
 
-    @staticmethod
-    def save(path: Path, arrays: Arrays, provenance: Mapping[str, Any]) -> None:
+    def save(self, arrays: Arrays, provenance: Mapping[str, Any]) -> None:
         """Write arrays, and `provenance` as one more."""
         text = np.array(json.dumps(provenance, indent=1))
-        with zipfile.ZipFile(path, "w", allowZip64=True) as archive:
+        with zipfile.ZipFile(self._path, "w", allowZip64=True) as archive:
             for name, array in (arrays | {"provenance": text}).items():
                 entry = zipfile.ZipInfo(f"{name}.npy")  # without a date, so that equal exports are equal files
                 with archive.open(entry, "w", force_zip64=True) as file:
@@ -70,31 +76,48 @@ class NpzWriter:
 
 
 class Hdf5Writer(NpzWriter):
-    """HDF5, with the unit of each array beside it."""
+    """HDF5, with units and dimensions of each array as netCDF has them."""
 
-    @staticmethod
-    def save(path: Path, arrays: Arrays, provenance: Mapping[str, Any]) -> None:
+    def save(self, arrays: Arrays, provenance: Mapping[str, Any]) -> None:
         """Write arrays as datasets, and `provenance` as an attribute of the file."""
         import h5py
 
-        with _DeferredErrors(path, "w+") as disk:
+        with _DeferredErrors(self._path, "w+") as disk:
             with h5py.File(disk, "w") as file:
                 for name, array in arrays.items():
-                    _add_dataset(file, name, array, provenance["units"].get(name))
+                    dataset = _add_dataset(file, name, array)
+                    dataset.attrs.update(attributes(name, provenance))
+                names = dimensions(self._plan)
+                for name in arrays:
+                    _add_dimensions(file, name, names.get(name, ("time",)))
                 file.attrs["provenance"] = json.dumps(provenance, indent=1)
             if disk.error is not None:
                 raise disk.error
 
 
-def _add_dataset(file: Any, name: str, array: NDArray[Any], unit: str | None) -> None:
-    """Copy an array piece by piece; HDF5 has texts as bytes."""
-    dtype = np.dtype(f"S{array.dtype.itemsize // 4}") if array.dtype.kind == "U" else array.dtype
+def _add_dataset(file: Any, name: str, array: NDArray[Any]) -> Any:
+    """Copy an array piece by piece; HDF5 has texts of frames as bytes, labels as texts."""
+    dtype: Any = array.dtype
+    if dtype.kind == "U":
+        dtype = np.dtype(f"S{dtype.itemsize // 4}") if name not in LABELS else np.dtypes.StringDType()
     dataset = file.create_dataset(name, array.shape, dtype)
     for start in range(0, len(array), FRAMES_AT_ONCE):
         piece = slice(start, start + FRAMES_AT_ONCE)
         dataset[piece] = array[piece].astype(dtype, copy=False)
-    if unit is not None:
-        dataset.attrs["units"] = unit
+    return dataset
+
+
+def _add_dimensions(file: Any, name: str, dimensions: tuple[str, ...]) -> None:
+    """Name an array's dimensions by scales, of which those without values are none of its arrays."""
+    array = file[name]
+    for axis, each in enumerate(dimensions):
+        if each not in file:
+            size = array.shape[axis]
+            file.create_dataset(each, (size,), ">f4").make_scale(NO_VARIABLE.format(size))
+        elif not file[each].is_scale:
+            file[each].make_scale(each)
+        if each != name:
+            array.dims[axis].attach_scale(file[each])
 
 
 class _DeferredErrors(io.FileIO):
@@ -142,3 +165,52 @@ def row(image: Image, regions: Mapping[str, Measures]) -> Arrays:
             "loss": np.array(astuple(image.loss), "<i8"),
         }
     )
+
+
+def frameless(plan: SensorPlan, provenance: Mapping[str, Any]) -> Arrays:
+    """Arrays that are of no frame: positions, and labels of the loss counts and of the regions' values."""
+    labels = {name: np.array([*provenance[key]]) for name, key in LABELS.items() if key in provenance}
+    return {"positions_mm": plan.array.positions, "cells_mm": plan.cells.positions} | labels
+
+
+def dimensions(plan: SensorPlan) -> dict[str, tuple[str, ...]]:
+    """Names of the dimensions of each array, ("time",) for any other."""
+    taxels = ("row", "column") if len(plan.array.frame_shape) == 2 else ("taxel",)
+    cells = ("cell_row", "cell_column") if len(plan.blur.surface_shape) == 2 else ("cell",)
+    return {
+        "raw": ("time", *taxels), "flags": ("time", *taxels), "restored": ("time", *cells),
+        "shear": ("time", "axis", *taxels), "loss": ("time", "loss_kind"),
+        "regions": ("time", "region", "measure"),
+        "positions_mm": ("taxel", "axis"), "cells_mm": ("cell", "axis"), **{name: (name,) for name in LABELS},
+    }  # fmt: skip
+
+
+def attributes(name: str, provenance: Mapping[str, Any]) -> Attributes:
+    """Attributes of an array by the CF conventions: units, what it is, and the meaning of flags."""
+    texts = {"units": provenance.get("units", {}), "long_name": provenance.get("descriptions", {})}
+    found = {key: some[name] for key, some in texts.items() if name in some}
+    if name != "flags":
+        return found
+    bits: Mapping[str, int] = provenance.get("flag_bits", {})
+    meanings = " ".join(bits).lower()
+    return found | {"flag_masks": np.array([*bits.values()], np.uint8), "flag_meanings": meanings}
+
+
+class Chunk:
+    """Rows of frames, until there are enough of them for one chunk of a file."""
+
+    def __init__(self) -> None:
+        self._rows: list[Arrays] = []
+        self.frames = 0  # of a full one
+
+    def add(self, row: Arrays) -> bool:
+        """Take a row; whether the chunk is full."""
+        largest = max(each.nbytes for each in row.values())
+        self.frames = self.frames or max(1, min(FRAMES_AT_ONCE, CHUNK_BYTES // largest))
+        self._rows.append(row)
+        return len(self._rows) == self.frames
+
+    def take(self) -> Arrays:
+        """The rows as arrays, none of them where there is none; the chunk is empty afterwards."""
+        rows, self._rows = self._rows, []
+        return {name: np.stack([each[name] for each in rows]) for name in rows[0]} if rows else {}

@@ -20,16 +20,18 @@ from tactiled.files import sha256
 from tactiled.frames import FLAG_BITS, Message
 from tactiled.runtime.noise import measure_noise
 from tactiled.runtime.pipeline import Pipeline
-from tactiled.units import LENGTH, PRESSURE
+from tactiled.units import LENGTH, PRESSURE, SHEAR
 
-SHEAR = "counts from the skin's nominal rest, (x, y) along its own axes; as sensed, neither restored nor tared"
-UNITS = {
-    "time": "s, on the recording's clock, of a frame's first message",
-    "sequence": "counts up without wrapping, lost frames included",
-    "positions_mm": f"{LENGTH}, (x, y) of the taxels, in the order of raw",
-    "cells_mm": f"{LENGTH}, (x, y) of the surface cells, in the order of restored",
+UNITS = {"time": "seconds since 1970-01-01", "positions_mm": LENGTH, "cells_mm": LENGTH}  # by the CF conventions
+DESCRIPTIONS = {
+    "time": "time of a frame's first message, on the recording's clock",
+    "sequence": "number of the frame, which does not wrap; lost frames are counted",
+    "noise": "standard deviation of one raw taxel",
+    "positions_mm": "(x, y) of the taxels, in the order of raw",
+    "cells_mm": "(x, y) of the surface cells, in the order of restored",
     "flags": "bits, as in flag_bits",
-    "loss": "counts so far, by kind as in loss_kinds",
+    "loss": "counts so far, by kind as in loss_kind",
+    "shear": "(x, y) along the skin's own axes from its nominal rest, as sensed: neither restored nor tared",
 }
 
 
@@ -90,9 +92,8 @@ def _tapped(recording: Recording, tap: Callable[[Message], None]) -> Iterator[Me
 
 def _units(plan: SensorPlan) -> dict[str, str]:
     """Unit of each array; pressure is in counts where the sensor is uncalibrated."""
-    noise = f"{plan.unit}, standard deviation of one raw taxel"
-    pressures = {"raw": plan.unit, "restored": plan.unit, "noise": noise}
-    calibrated = {"noise_kpa": noise} if plan.unit == PRESSURE else {}
+    pressures = dict.fromkeys(("raw", "restored", "noise"), plan.unit)
+    calibrated = {"noise_kpa": PRESSURE} if plan.unit == PRESSURE else {}
     return pressures | calibrated | UNITS | ({"shear": SHEAR} if plan.shears else {})
 
 
@@ -113,6 +114,7 @@ def _provenance(recording: Recording, plan: SensorPlan) -> dict[str, Any]:
         "cover": {"model": plan.kernel.model, "gain_error": plan.kernel.error_estimate},
         "cell_mm": plan.cell_mm,
         "units": _units(plan),
+        "descriptions": DESCRIPTIONS,
         "flag_bits": FLAG_BITS,
         "loss_kinds": LOSS_KINDS,
         "warnings": [asdict(each) for each in plan.warnings],

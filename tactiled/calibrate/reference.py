@@ -8,7 +8,6 @@ from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import correlate, correlation_lags
 
 from tactiled.calibrate.hysteresis import Plays
 from tactiled.errors import ConfigError
@@ -148,15 +147,23 @@ def _coarse(times: Floats, signal: Floats, log: Reference) -> float:
         np.interp(np.arange(a[0], a[-1], step), a, b - b[:MIN_ROWS].mean())
         for a, b in ((times, signal), (log.times, log.values))
     )
-    shifts = correlation_lags(reference.size, series.size)
+    shifts = np.arange(1 - series.size, reference.size)
     offsets = log.times[0] - times[0] + step * shifts
     norms = max(float(np.linalg.norm(series) * np.linalg.norm(reference)), 1e-300)
-    correlation = correlate(reference, series, method="fft") / norms
+    correlation = _correlate(reference, series) / norms
     overlap = np.minimum(series.size, reference.size - shifts) - np.maximum(0, -shifts)
     correlation[overlap < MIN_OVERLAP * min(series.size, reference.size)] = -1
     if absolute:
         correlation[np.abs(offsets) > MAX_CLOCK_OFFSET_S] = -1
     return _one_peak(offsets, correlation, absolute, log.path)
+
+
+def _correlate(one: Floats, other: Floats) -> Floats:
+    """Cross-correlation (N + M - 1,) of (N,) and (M,), shifted by 1 - M on; scipy.signal takes 1 s to import."""
+    size = one.size + other.size - 1
+    padded = 1 << (size - 1).bit_length()
+    product = np.fft.rfft(one, padded) * np.fft.rfft(other, padded).conj()
+    return np.roll(np.fft.irfft(product, padded), other.size - 1)[:size]
 
 
 def _one_peak(offsets: Floats, correlation: Floats, absolute: bool, path: Path) -> float:

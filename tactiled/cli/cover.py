@@ -123,20 +123,9 @@ def _round_frequencies(summary: CoverSummary) -> Floats:
     return np.asarray(ROUND_FREQUENCIES[low:high])
 
 
-def _numbers(option: str, text: str, form: str = "", count: int | None = None) -> list[float]:
-    """Numbers with commas between them, `count` of them; ConfigError otherwise, which names their `form`."""
-    try:
-        numbers = [float(part) for part in text.split(",")]
-    except ValueError as error:
-        raise ConfigError(f"--{option} {text}: give numbers with commas between them") from error
-    if len(numbers) != (count or len(numbers)):
-        raise ConfigError(f"--{option} {text}: give {form}")
-    return numbers
-
-
 def _frequencies(text: str) -> Floats:
     """The values of --at, 1/mm."""
-    q = np.array(_numbers("at", text))
+    q = np.array(options.numbers("at", text))
     if not (np.isfinite(q).all() and (q >= 0).all()):
         raise ConfigError(f"--at {text}: give finite frequencies of 0 or more, 1/mm")
     return q
@@ -145,14 +134,14 @@ def _frequencies(text: str) -> Floats:
 def _stack(texts: list[str], base: Layer) -> Stack:
     """The layers of every --layer over the sensor."""
     form = "T,E,NU: thickness in mm, Young's modulus in MPa, Poisson's ratio"
-    layers = [Layer(*_numbers("layer", text.removesuffix(",loose"), form, 3)) for text in texts]
+    layers = [Layer(*options.numbers("layer", text.removesuffix(",loose"), form, 3)) for text in texts]
     bonds = (*(not text.endswith(",loose") for text in texts), True)
     return Stack((*layers, base), sensing=len(layers), bonds=bonds)
 
 
 def _profile(texts: list[str]) -> Profile | None:
     """The points of every --profile."""
-    points = [_numbers("profile", text, "R,RISE in mm", 2) for text in texts]
+    points = [options.numbers("profile", text, "R,RISE in mm", 2) for text in texts]
     return Profile(*zip(*points, strict=True)) if points else None
 
 

@@ -17,7 +17,8 @@ from threadpoolctl import threadpool_limits
 
 from tactiled import logs
 from tactiled.bus import recording
-from tactiled.bus.reader import Reader, open_bus
+from tactiled.bus.reader import Reader, can_message, open_bus
+from tactiled.bus.recorder import Recorder
 from tactiled.cli import options
 from tactiled.cli.app import stoppable
 from tactiled.cli.simulate import simulated
@@ -89,16 +90,15 @@ def simulation(config: Config, scene: str | None, rate_hz: float, folder: Path) 
 
 
 def _record(players: list[Player], path: Path) -> None:
-    """Write what the arrays would send under some scenes, as candump would log it."""
+    """Write what the arrays would send under some scenes."""
     began, at = time.time(), 0
-    with path.open("w", encoding="ascii") as log:
+    with closing(Recorder(path)) as recorder:
         for scene, seconds in RECORDED:
             acting = [replace(each, scenes=(scene,)) for each in players]
             for sequence in range(at, at := at + round(seconds * RECORDED_HZ)):
                 t = sequence / RECORDED_HZ
                 for message in (one for each in acting for one in each.messages(sequence, t, began + t)):
-                    mark = "##1" if message.fd else "#"
-                    log.write(f"({message.time:.6f}) {path.stem} {message.id:03X}{mark}{message.data.hex()}\n")
+                    recorder.put(can_message(message))
 
 
 def _server(host: str, port: int, foxglove: int | None, recordings: str) -> Server:

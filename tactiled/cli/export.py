@@ -32,7 +32,7 @@ def export(
     workers: batch.Workers = None,
     scheduler: batch.Scheduler = None,
 ) -> None:
-    """Restore every frame of recordings into files of arrays, or into files for Foxglove, ROS 2 or Rerun."""
+    """Restore every frame of recordings into arrays, tables, or files for Foxglove, ROS 2 or Rerun."""
     settings, name, _ = options.one_sensor(config, sensor)
     state = StateFile.of(config, settings.server.state)
     regions = state.regions.get(name, {})

@@ -5,12 +5,30 @@ from typing import Annotated
 
 import typer
 
-from tactiled.cli.options import write_configuration
+from tactiled.cli.options import choose, write_configuration
+from tactiled.config import icub
 from tactiled.config.example import EXAMPLE
+from tactiled.config.ready import READY, configuration
+from tactiled.errors import ConfigError
 
 
 def init(
     path: Annotated[Path, typer.Argument(help="File to write; never overwritten.")] = Path("tactiled.toml"),
+    skin: Annotated[str | None, typer.Option(help="Of a skin: " + ", ".join(READY) + ".")] = None,
+    from_icub: Annotated[
+        Path | None, typer.Option(help="Of the boards in this file of an iCub or ergoCub (PART-skinSpec.xml).")
+    ] = None,
+    positions: Annotated[
+        Path | None, typer.Option(help="With --from-icub: where its triangles are (skinGui's PART.ini, or .txt).")
+    ] = None,
 ) -> None:
     """Write a commented configuration."""
-    write_configuration(path, EXAMPLE)
+    if positions is not None and from_icub is None:
+        raise ConfigError(f"--positions {positions}: needs --from-icub")
+    if skin is not None:
+        if from_icub is not None:
+            raise ConfigError(f"--skin {skin}: --from-icub says it: leave one of them out")
+        text = configuration(choose("skin", skin, READY))
+    else:
+        text = EXAMPLE if from_icub is None else icub.configuration(from_icub, positions)
+    write_configuration(path, text)

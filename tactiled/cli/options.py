@@ -62,6 +62,17 @@ def present(**options: Any) -> dict[str, Any]:
     return {name: value for name, value in options.items() if value is not None}
 
 
+def numbers(option: str, text: str, form: str = "", count: int | None = None) -> list[float]:
+    """Numbers with commas between them, `count` of them; ConfigError otherwise, which names their `form`."""
+    try:
+        numbers = [float(part) for part in text.split(",")]
+    except ValueError as error:
+        raise ConfigError(f"--{option} {text}: give numbers with commas between them") from error
+    if len(numbers) != (count or len(numbers)):
+        raise ConfigError(f"--{option} {text}: give {form}")
+    return numbers
+
+
 def bus_settings(file: Buses | None, bus: str | None, keys: dict[str, Any]) -> dict[str, Any]:
     """What to open a bus with: as a file says, or by the options `keys`; ConfigError where both say it."""
     if file is not None:

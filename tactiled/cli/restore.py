@@ -1,11 +1,11 @@
 """`tactiled restore`: frames of any number, from file to file."""
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from os.path import realpath
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from rich.console import Console
@@ -16,24 +16,36 @@ from tactiled.archive.jobs import RestoreJob
 from tactiled.archive.places import Place
 from tactiled.cli import batch, options
 from tactiled.cli.app import EXIT_INTERRUPTED, interrupted
+from tactiled.config import schema
+from tactiled.config.load import validated
 from tactiled.errors import ConfigError
 from tactiled.files import whole_file
 from tactiled.restore.methods import METHODS
 from tactiled.runtime.offline import FrameInfo
 
+LAYER = "T,E,NU: thickness in mm, Young's modulus in MPa, Poisson's ratio of a layer of the cover"
 PROGRESS_FROM_FRAMES = 2000  # fewer take about a second
 
 
 def restore(
     frames: Annotated[
         list[str],
-        typer.Argument(help=f"Frames (T, rows, columns) or (T, taxels), NaN: unknown. Several: {batch.INPUTS}."),
+        typer.Argument(
+            help="Frames, .npy of (T, rows, columns) or (T, taxels), NaN: unknown, or .csv with a frame a line. "
+            f"Several: {batch.INPUTS}."
+        ),
     ],
     out: Annotated[
         str,
         typer.Option("--out", "-o", help=f"Where the restored frames go (.npy, float32); {batch.OUT}."),
     ],
-    config: Annotated[Path, typer.Option(help="Configuration that describes the sensor (TOML).")],
+    config: Annotated[
+        Path | None,
+        typer.Option(help="Configuration that describes the sensor (TOML); or the next three options."),
+    ] = None,
+    grid: Annotated[str | None, typer.Option(help="ROWSxCOLUMNS of a grid whose frames are in kPa.")] = None,
+    pitch: Annotated[float | None, typer.Option(help="Distance between its taxels, mm.")] = None,
+    layer: Annotated[list[str] | None, typer.Option(help=f"{LAYER}; repeat it from the top down.")] = None,
     sensor: options.Sensor = None,
     method: Annotated[str, typer.Option(help="One of " + ", ".join(METHODS) + ".")] = "auto",
     noise: Annotated[float | None, typer.Option(help="A taxel's standard deviation, in the frames' unit.")] = None,
@@ -43,18 +55,37 @@ def restore(
     workers: batch.Workers = None,
     scheduler: batch.Scheduler = None,
 ) -> None:
-    """Restore the frames of .npy files, however many, with bounded memory."""
-    settings, name, _ = options.one_sensor(config, sensor)
-    job = RestoreJob.of(config, settings, name, method=method, noise=noise)
+    """Restore the frames of .npy and .csv files, however many, with bounded memory."""
+    given = options.present(grid=grid, pitch=pitch, layer=layer)
+    if config is not None and given:
+        raise ConfigError(f"--{min(given)}: --config says it: leave one of them out")
+    settings, name, _ = options.one_sensor(config, sensor) if config else _described(given)
+    job = RestoreJob.of(config or Path("options"), settings, name, method=method, noise=noise)
     if one := batch.single(frames, out, workers, scheduler):
-        _refuse_same(out, "--out", {"--config": config})
+        files: dict[str, str | Path] = {"--config": config} if config else {}
+        _refuse_same(out, "--out", files)
         if stats is not None:
-            _refuse_same(stats, "--stats", {"--config": config, "FRAMES": frames[0], "--out": out})
+            _refuse_same(stats, "--stats", files | {"FRAMES": frames[0], "--out": out})
         _restore_one(job, *one, stats)
         return
     if stats is not None:
         raise ConfigError(f"--stats {stats}: is one file for several inputs: leave it out")
-    batch.run_batch(job, frames, (".npy",), out, workers, scheduler)
+    batch.run_batch(job, frames, (".npy", ".csv"), out, workers, scheduler)
+
+
+def _described(given: Mapping[str, Any]) -> tuple[schema.Config, str, schema.Sensor]:
+    """The configuration that --grid, --pitch and --layer describe; ConfigError where one is missing or wrong."""
+    if lacking := [each for each in ("grid", "pitch", "layer") if each not in given]:
+        raise ConfigError(f"--{lacking[0]} is missing: give --config, or --grid, --pitch and --layer")
+    rows, _, columns = given["grid"].partition("x")
+    if not (rows.isdecimal() and columns.isdecimal()):
+        raise ConfigError(f"--grid {given['grid']}: give ROWSxCOLUMNS, such as 8x6")
+    keys = ("thickness_mm", "young_mpa", "poisson")
+    cover = [dict(zip(keys, options.numbers("layer", each, LAYER, 3), strict=True)) for each in given["layer"]]
+    array = {"rows": int(rows), "columns": int(columns), "pitch_mm": given["pitch"]}
+    sensor = {"array": array, "cover": cover, "calibration": {"kpa_per_count": 1.0}}
+    settings = validated(schema.Config, {"sensor": {"frames": sensor}}, "options")
+    return settings, "frames", settings.sensor["frames"]
 
 
 def _restore_one(job: RestoreJob, source: Place, target: Place, stats: Path | None) -> None:

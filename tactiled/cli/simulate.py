@@ -43,6 +43,8 @@ def simulate(
     settings = load(config) if config else parse(EXAMPLE, "example")
     name = options.choose("sensor", sensor, settings.sensor)
     one = _with_fd(settings.sensor[name], name, fd)
+    if one.codec.name == "pushed":
+        raise ConfigError(f"sensor {name}: has no bus: its frames are pushed into a running service")
     source = simulated(one, scene, noise_kpa)
     keys = options.present(channel=channel, bitrate=bitrate)
     sender = open_bus(**_bus(settings, one, interface) | keys)

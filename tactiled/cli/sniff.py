@@ -146,8 +146,8 @@ def survey_lines(result: Survey) -> list[str]:
         lines.append(f"{match.description}: {size}, {one.rate_hz:.1f} frames a second{lost}")
         lines += [f"  {note}" for note in match.notes]
     for each in result.unknown[:MAX_UNKNOWN_LISTED]:
-        width = 8 if each.extended else 3
-        lines.append(f"unknown id {each.id:0{width}x}: {each.messages} messages, {each.rate_hz:.1f} a second")
+        width = 10 if each.extended else 5
+        lines.append(f"unknown id {each.id:#0{width}x}: {each.messages} messages, {each.rate_hz:.1f} a second")
     if (more := len(result.unknown) - MAX_UNKNOWN_LISTED) > 0:
         lines.append(f"and {more} unknown ids more")
     return lines

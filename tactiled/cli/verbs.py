@@ -13,7 +13,7 @@ demo     Simulate a covered array, or play a real recording, and serve it live; 
 check    Check a configuration, and print the effect of each cover on its array.
 cover    Print a cover's gain over spatial frequency, and the resolution that it leaves.
 replay   Restore every frame of a recording and serve it as `run` does; every run gives the same images.
-export   Restore every frame of recordings into files of arrays, or into files for Foxglove, ROS 2 or Rerun.
+export   Restore every frame of recordings into arrays, tables, or files for Foxglove, ROS 2 or Rerun.
 init     Write a commented configuration.
 paper    Reproduce the figures of Shimojo's paper, and compare its statements with both models.
 record   Record all messages of a bus to a file, also of other devices, and error frames.

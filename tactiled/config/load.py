@@ -136,7 +136,8 @@ def _line(fault: ErrorDetails) -> str:
         return f"{place}: {message}"
     if isinstance(value, dict | list) or fault["type"] == "model_type":  # not one value of a known key
         (value,) = show([*seal({"": value}).values()])
-    return f"{place} = {_cut(value)}: {message}"
+    shown = hex(value) if isinstance(value, int) and message.startswith("give 0x") else _cut(value)
+    return f"{place} = {shown}: {message}"
 
 
 def _place(loc: Sequence[int | str]) -> str:

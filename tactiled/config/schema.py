@@ -34,6 +34,7 @@ Quaternion: TypeAlias = tuple[float, float, float, float]
 NORM_TOLERANCE = 10e-3  # of the squared norm of a quaternion, as tf2's buffer_core.cpp has it
 EVERY_ADDRESS = frozenset({"", "0.0.0.0", "::"})
 LOOPBACK = frozenset({"localhost", "127.0.0.1", "::1"})
+PUSHED = {"interface": "virtual", "rx_queue_size": 1 << 14}  # python-can's, for frames that a program pushes
 TOKEN = re.compile(r"[A-Za-z0-9!$'()*./:<=>?@\[\]^_`{|}~-]*")  # header, cookie and address carry these unchanged
 
 
@@ -270,10 +271,10 @@ class Calibration(Section):
 
 
 class Sensor(Section):
-    """One array on one bus."""
+    """One array on one bus; without `bus` and `codec` one whose frames a program pushes."""
 
     bus: Name
-    """Name of the bus that it sends on."""
+    """Name of the bus that it sends on; without `bus` and `codec` frames are pushed."""
     codec: Codec
     array: Array = Array()
     cover: Layers
@@ -345,6 +346,30 @@ class Config(Section):
     zenoh: Zenoh | None = None
     bus: dict[Name, Bus] = Field(min_length=1)
     sensor: dict[Name, Sensor] = Field(min_length=1)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _give_pushed_buses(cls, file: Any) -> Any:
+        """A bus of its own, inside the process, for each sensor whose frames are pushed."""
+        if not (isinstance(file, dict) and isinstance(sensors := file.get("sensor"), dict)):
+            return file
+        pushed = {
+            name: each
+            for name, each in sensors.items()
+            if isinstance(each, dict) and not {"bus", "codec"} & each.keys()
+        }
+        if not pushed or not isinstance(buses := file.get("bus", {}), dict):
+            return file
+        if twice := pushed.keys() & buses.keys():
+            name = min(twice)
+            raise ValueError(
+                f"sensor.{name}: without bus and codec its frames are pushed: rename bus {name}, or give both"
+            )
+        own = {name: {**PUSHED, "channel": f"pushed {name}"} for name in pushed}
+        sensors = sensors | {
+            name: {**each, "bus": name, "codec": {"name": "pushed"}} for name, each in pushed.items()
+        }
+        return {**file, "bus": buses | own, "sensor": sensors}
 
 
 class Served(Section):

@@ -21,6 +21,7 @@ FAR_PEAK_SHARE = 0.2  # of a peak further off that counts
 SKIRT_SHARE = 0.1  # of the highest peak that counts, below which a cell is a skirt or rings
 MAX_PEAKS = 512  # of an image: the time of all steps grows with the square of their number
 DIP_SHARE = 0.2  # of the same, by which the pressure dips between two contacts
+PART_SHARE, JOIN_SHARE = 0.3, 0.1  # the same where in the image before they were one contact, or two
 
 MAX_STEP_PITCHES = 3.0  # from where a contact was, or should be by its speed
 MAX_FAINT_STEP_PITCHES = 1.0  # the same of one that has become faint
@@ -63,6 +64,7 @@ class Finder:
         self._middle = row[first], column[first]  # of each cell, the square at its middle
         self._squares_a_cell = max(1, round(float(np.sqrt(np.median(cells.areas))) / cells.side))
         self._near = 2 * round(NEAR_PITCHES * array.pitch / cells.side) + 1  # squares
+        self.parts: Labels = np.zeros(self._cell.shape, np.int64)  # squares of the last image by contact, 0: none
 
     def __call__(
         self,
@@ -71,28 +73,33 @@ class Finder:
         unit: Unit = PRESSURE,
         faint: bool = False,
         shares: NDArray[np.float32] | None = None,
+        before: Labels | None = None,
     ) -> list[Contact]:
         """Contacts of an image (in `unit`), the strongest first, all with id 0; `noise` is a cell's.
 
         With `faint` also those too faint to begin, which one that has begun may have become. None of which too
-        little is left, by the `shares` of the cells.
+        little is left, by the `shares` of the cells. What was one contact, or two, in the `parts` of the image
+        before stays so over a dip that is near the bound.
         """
         pressure = np.nan_to_num(np.asarray(image, float).ravel())
         begin, go_on = BEGIN_SIGMAS * noise, CONTINUE_SIGMAS * noise
         peak = float(pressure.max(initial=0.0))
         if peak <= (go_on if faint else begin):
+            self.parts = np.zeros_like(self.parts)
             return []
         from scipy.ndimage import maximum_filter  # the first contact imports it, and scikit-image
         from skimage.segmentation import expand_labels
 
         picture = np.append(pressure, -np.inf)[self._cell]
         highest = maximum_filter(np.maximum(picture, FAR_PEAK_SHARE * peak), self._near)
-        parts = _split(picture, picture > go_on, SKIRT_SHARE * highest, np.maximum(go_on, DIP_SHARE * highest))
+        was = np.zeros_like(self.parts) if before is None else before
+        parts = _split(picture, picture > go_on, highest, go_on, was)
         tops = np.full(int(parts.max()) + 1, -np.inf)
         np.maximum.at(tops, parts, picture)
         tops[0] = np.inf
         threshold = np.where(tops > begin, begin, go_on if faint else np.inf)
         parts[picture <= np.maximum(SKIRT_SHARE * np.maximum(highest, tops[parts]), threshold[parts])] = 0
+        self.parts = parts
         pressed, skirts = parts[self._middle], expand_labels(parts, self._squares_a_cell)[self._middle]
         scale = FORCE_SCALES[unit]
         numbers = np.unique(pressed[pressed > 0]).tolist()
@@ -131,8 +138,11 @@ class Finder:
         )
 
 
-def _split(picture: Floats, pressed: NDArray[np.bool_], skirt: Floats, dip: Floats) -> Labels:
-    """Number the pressed squares by contact: basins round the peaks that a dip or a skirt parts; all others 0."""
+def _split(picture: Floats, pressed: NDArray[np.bool_], highest: Floats, least: float, was: Labels) -> Labels:
+    """Number the pressed squares by contact: basins round the peaks that a dip or a skirt parts; all others 0.
+
+    A dip has at least the depth `least`. `was` are the squares' numbers in the image before, 0 for none.
+    """
     from skimage.measure import label
     from skimage.morphology import local_maxima
     from skimage.segmentation import watershed
@@ -143,11 +153,13 @@ def _split(picture: Floats, pressed: NDArray[np.bool_], skirt: Floats, dip: Floa
     square = np.zeros(int(peaks.max()) + 1, np.int64)  # of each peak
     square[peaks.ravel()] = np.arange(peaks.size)
     merged = np.arange(len(square))
-    top, skirts, dips = (each.ravel()[square] for each in (picture, skirt, dip))
+    top, high_near, was_at = (each.ravel()[square] for each in (picture, highest, was))
     for one, other, saddle in _saddles(picture, basins):
         low, high = sorted((merged[one], merged[other]), key=lambda each: (top[each], each))
-        parted = top[low] - saddle >= dips[low] or saddle < skirts[low] < top[low]
-        if low != high and not parted:
+        both = was_at[low] and was_at[high]
+        share = (PART_SHARE if was_at[low] == was_at[high] else JOIN_SHARE) if both else DIP_SHARE
+        deep = top[low] - saddle >= max(least, share * high_near[low])
+        if low != high and not (deep or saddle < SKIRT_SHARE * high_near[low] < top[low]):
             merged[merged == low] = high
     return merged[basins]
 

@@ -80,13 +80,19 @@ def cached(
     profile: Profile | None = None,
     folder: Path | None = None,
     report: Report = lambda _: None,
+    solving: Callable[[], object] = lambda: None,
 ) -> Kernel:
     """Give what `solve` gives, from `folder` (by default the user's cache) where it is already there.
 
-    `report` gets a line on a cache that cannot be read or written.
+    `report` gets a line on a cache that cannot be read or written; `solving` is called where it is not there.
     """
     inputs = version("tactiled"), stack, model, accuracy, profile
-    numbers = cached_table(folder, inputs, lambda: _numbers(solve(*inputs[1:])), report, "kernel")
+
+    def make() -> Floats:
+        solving()
+        return _numbers(solve(*inputs[1:]))
+
+    numbers = cached_table(folder, inputs, make, report, "kernel")
     n, m, error, columns, rows, unknowns = numbers[:6, 0]
     q, gain, r, g, _ = np.split(numbers[6:, 0], np.cumsum([int(n), int(n), int(m), int(m)]))
     return Kernel(stack, model, q, gain, r, g, float(error), (int(columns), int(rows)), int(unknowns), profile)

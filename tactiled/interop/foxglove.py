@@ -18,7 +18,7 @@ from tactiled.contacts.detection import OUTLINE_SIGMAS, Contact
 from tactiled.contacts.regions import Measures, RegionMeter
 from tactiled.errors import ConfigError
 from tactiled.frames import Image, Message
-from tactiled.units import COUNTS, FORCE_UNITS, M_PER_MM, PRESSURE, Unit, force_text, nanoseconds
+from tactiled.units import COUNTS, FORCE_UNITS, M_PER_MM, Unit, force_text, nanoseconds
 
 try:
     from foxglove import messages
@@ -37,7 +37,6 @@ STATUS = {
     "noise_gain": NUMBER, "resolution_mm": NUMBER, "force": NUMBER, "peak": NUMBER, "unit": STRING,
     "force_unit": STRING, "loss": OBJECT, "warnings": {"type": "array", "items": WARNING}, "calibration": STRING,
 }  # fmt: skip
-CALIBRATED = {"noise_kpa": "noise", "force_n": "force", "peak_kpa": "peak"}  # more keys of the status
 STATE = {
     "state": STRING, "detail": STRING, "age_s": NUMBER, "rate_hz": NUMBER, "method": STRING, "loss": OBJECT
 }  # fmt: skip
@@ -145,15 +144,9 @@ class Topics:
         shear = ("shear_x_counts", "<f4"), ("shear_y_counts", "<f4")
         self._shear = _Surface(f"/{name}/shear", *taxels, *shear) if plan.shears else None
         self._total = RegionMeter(None, plan.cells)
-        status = _json_topic(
-            f"/{name}/status", "tactiled status", STATUS | self._calibrated(dict.fromkeys(CALIBRATED, NUMBER))
-        )
+        status = _json_topic(f"/{name}/status", "tactiled status", STATUS)
         self.topics = [self._raw.topic, self._restored.topic, status]
         self.topics += [self._shear.topic] if self._shear else []
-
-    def _calibrated(self, keys: dict[str, Any]) -> dict[str, Any]:
-        """These keys, none where the sensor is uncalibrated."""
-        return keys if self.unit == PRESSURE else {}
 
     def messages(self, image: Image) -> list[bytes]:
         """One image, which is in `unit`, with all that is known of it: a message for each of the topics."""
@@ -164,7 +157,6 @@ class Topics:
             "loss": asdict(image.loss),
             "warnings": [asdict(each) for each in image.warnings],
         }
-        status |= self._calibrated({key: status[name] for key, name in CALIBRATED.items() if name in status})
         encoded = [
             self._raw.message(image.time, **{self._pressure: image.raw}, flags=image.flags),
             self._restored.message(image.time, **{self._pressure: image.restored}),

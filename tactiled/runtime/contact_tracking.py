@@ -23,7 +23,8 @@ class ImageContacts:
     def __call__(self, image: Image, time_s: float) -> tuple[Contact, ...]:
         """Contacts of one image; `time_s` on a clock that is the same for all of them."""
         noise = image.cell_noise
-        contacts = self._finder(image.restored, noise, image.unit, self._tracker.holds, image.shares)
+        find, holds = self._finder, self._tracker.holds
+        contacts = find(image.restored, noise, image.unit, holds, image.shares, find.parts)
         return tuple(self._tracker(contacts, time_s, BEGIN_SIGMAS * noise))
 
 

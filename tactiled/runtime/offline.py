@@ -1,5 +1,6 @@
-"""Restores series of frames of one sensor piece by piece, from .npy file to .npy file, with bounded memory."""
+"""Restores series of frames of one sensor piece by piece, from a file to an .npy file, with bounded memory."""
 
+import csv
 from collections import Counter
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -35,7 +36,9 @@ class FrameInfo(NamedTuple):
 
 
 def open_frames(path: Path, plan: SensorPlan) -> Frames:
-    """Map the frames (T, *taxels) of an .npy file; ConfigError names the file and what is wrong with it."""
+    """Map the frames (T, *taxels) of an .npy file, or read a .csv; ConfigError names file and fault."""
+    if path.suffix.lower() == ".csv":
+        return _read_csv(path, plan)
     try:
         frames = np.load(path, mmap_mode="r", allow_pickle=False)
     except OSError as error:
@@ -56,6 +59,28 @@ def open_frames(path: Path, plan: SensorPlan) -> Frames:
     if frames.dtype.kind not in "fiu":
         raise ConfigError(f"{path}: dtype {frames.dtype}: give real numbers, in {plan.unit}")
     return frames
+
+
+def _read_csv(path: Path, plan: SensorPlan) -> Frames:
+    """Frames (T, *taxels), a line each; an empty field is unknown, a first line of names is left out."""
+    frames: list[NDArray[np.float32]] = []
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as file:
+            for number, fields in enumerate(csv.reader(file), 1):
+                if len(fields) != plan.array.size and fields:
+                    needed = f"{plan.array.size}, one for each taxel of sensor {plan.name}"
+                    raise ConfigError(f"{path}: line {number}: {len(fields)} fields: give {needed}")
+                try:
+                    values = [float(each) if each.strip() else np.nan for each in fields]
+                except ValueError as error:
+                    if number > 1:
+                        raise ConfigError(f"{path}: line {number}: {error}: give numbers") from error
+                    continue
+                if values:
+                    frames.append(np.array(values, np.float32))
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise ConfigError(f"{path}: {getattr(error, 'strerror', None) or error}: give frames as .csv") from error
+    return np.array(frames, np.float32).reshape(-1, *plan.array.frame_shape)
 
 
 def measured_noise(frames: Frames, steps_kpa: tuple[float, ...]) -> float:

@@ -10,12 +10,25 @@ from threading import Lock, Thread
 from types import MappingProxyType
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from tactiled import systemd
 from tactiled.build import SensorPlan, sensor_plan, sensor_plans, without_file
+from tactiled.bus.codecs.pushed import Pushed
+from tactiled.bus.pusher import Pusher
 from tactiled.bus.replay import Replay
 from tactiled.calibrate.calibration_file import FILES_KEPT, CalibrationFile, former, save
 from tactiled.config import Config, load
-from tactiled.errors import BusError, ConfigError, ReloadError, StateError, TactileError, UnknownSensorError
+from tactiled.errors import (
+    BusError,
+    ConfigError,
+    NotPushedError,
+    ReloadError,
+    StateError,
+    TactileError,
+    UnknownSensorError,
+)
 from tactiled.restore.methods import METHODS, require
 from tactiled.runtime.bus_thread import BusThread
 from tactiled.runtime.events import Events, Faults, duration
@@ -24,6 +37,8 @@ from tactiled.runtime.reload import Reload, compare, new_plans
 from tactiled.runtime.sensor import BUDGET_SHARE, MAX_SHARES, Sensor
 from tactiled.runtime.state import KeptTare, StateFile
 from tactiled.runtime.watch import Watch
+
+Floats = NDArray[np.float32 | np.float64]
 
 
 class Service:
@@ -46,6 +61,7 @@ class Service:
         self._set_lock = Lock()  # two requests at once keep the method that runs
         self.buses = {name: bus.settings() for name, bus in config.bus.items()}
         plans = {plan.name: plan for plan in sensor_plans(config, report)}
+        self._pushers: dict[str, Pusher] = {}
         self.sensors = self._make_sensors(plans)  # replaced by a reload, never changed
         self._apply_lock = Lock()  # one calibration is applied at a time
         self._share_time()
@@ -73,6 +89,34 @@ class Service:
             return self.sensors[name]
         except KeyError as error:
             raise UnknownSensorError.among(name, self.sensors) from error
+
+    def push(self, name: str, values: Floats, sequence: int | None = None, time_s: float | None = None) -> int:
+        """Take a frame, of the array's shape or (N,), NaN: unknown; gives its sequence number.
+
+        NotPushedError where the sensor reads a bus or a recording, ConfigError for another shape, BusError where
+        the service does not keep up.
+        """
+        sensor, codec = self.sensor(name), self.need_pushed(name)
+        if values.shape not in ((codec.size,), sensor.array.frame_shape):
+            shape = " x ".join(map(str, sensor.array.frame_shape))
+            raise ConfigError(
+                f"values: shape {values.shape} for sensor {name}: give {shape}, or {codec.size} in a list"
+            )
+        with self._change_lock:
+            if self._stopped:
+                raise BusError("the service ends")
+            if name not in self._pushers:
+                self._pushers[name] = Pusher(str(self.buses[sensor.plan.bus]["channel"]))
+        counts = values.ravel().astype(np.float32)
+        return self._pushers[name].push(codec, counts, sequence, time.time() if time_s is None else time_s)
+
+    def need_pushed(self, name: str) -> Pushed:
+        """The codec of a sensor that takes frames; NotPushedError where it reads a bus or a recording."""
+        sensor = self.sensor(name)
+        if self.replayed or not isinstance(sensor.codec, Pushed):
+            source = "a recording" if self.replayed else f"bus {sensor.plan.bus}"
+            raise NotPushedError(f"sensor {name!r}: reads {source}: only one without bus and codec takes frames")
+        return sensor.codec
 
     def set_method(self, name: str, method: str, keep: bool = False) -> None:
         """Restore by another method from the next frame on, and with `keep` after a restart, too.
@@ -227,6 +271,8 @@ class Service:
         self._watch.stop()
         for each in (*self._sources.values(), *self.sensors.values()):
             each.stop()
+        for pusher in self._pushers.values():
+            pusher.close()
 
     def reload(self) -> Reload:
         """Read the configuration file again, and change what it changes; frames of the rest go on.

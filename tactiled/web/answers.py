@@ -65,7 +65,7 @@ def health(service: ServiceView) -> schemas.Health:
     return schemas.Health(status="ok" if live and not faults else "degraded", sensors=sensors, faults=faults)
 
 
-def numbers(values: NDArray[np.float32]) -> Any:
+def numbers(values: NDArray[np.floating]) -> Any:
     """A list, or lists, of numbers rounded to DECIMALS; NaN becomes null in JSON."""
     return np.round(values.astype(float), DECIMALS).tolist()
 

@@ -36,7 +36,7 @@ from tactiled.web.rest import (
 )
 from tactiled.web.rest.dependencies import Costly, check_body, check_parameters
 from tactiled.web.rest.openapi import EVERY_RESOURCE, complete, problems
-from tactiled.web.ws import asyncapi, stream, xela
+from tactiled.web.ws import asyncapi, push, stream, xela
 from tactiled.web.ws.feed import Feeds, ticking
 
 if TYPE_CHECKING:
@@ -68,6 +68,7 @@ def create(service: "Service", server: Server) -> FastAPI:
         app.include_router(playback.make(folder, playbacks))
         app.include_router(recordings.make(folder))
     app.include_router(xela.make(feeds))
+    app.include_router(push.make(service, server))
     return _complete(app, server)
 
 

@@ -69,7 +69,10 @@ class TaxelHealth(Schema):
         description='what of the map of taxels is wrong, or "as configured"; null: too few were pressed so far',
         examples=["taxels 40 and 77 swapped"],
     )
-    noise_counts: list[float] = Field(description="standard deviation of each taxel", examples=[[0.4, 0.5]])
+    noise_counts: list[float | None] = Field(
+        description="standard deviation of each taxel; null: neither measured nor calibrated",
+        examples=[[0.4, None]],
+    )
     drift_counts: list[float] | None = Field(
         description="that each zero has moved since it was measured; null: drift is not tracked",
         examples=[[0.0, 1.2]],

@@ -17,6 +17,8 @@ Values = Annotated[
     list[list[float | None]] | list[float | None],
     Field(description="rows of a grid, or one list; null: no data", examples=[[[0.0, 12.5], [3.25, None]]]),
 ]
+Reading = Annotated[float, Field(ge=-1e30, le=1e30, allow_inf_nan=False)]
+MAX_TIME_S = 4e9  # Unix time: the year 2096
 Flags = Annotated[
     list[list[int]] | list[int],
     Field(
@@ -210,6 +212,35 @@ class Contacts(FrameId, Message):
     unit: Unit
     force_unit: units.ForceUnit = Field(examples=["N"])
     contacts: tuple[Contact, ...]
+
+
+class PushedFrame(RequestBody):
+    """A frame that a program pushes."""
+
+    values: Annotated[
+        list[list[Reading | None]] | list[Reading | None],
+        Field(
+            max_length=1 << 14,
+            description="counts, or kPa with `kpa_per_count = 1`: rows of a grid, or one list; null: unknown",
+            examples=[[[0.0, 12.5], [3.25, None]]],
+        ),
+    ]
+    sequence: int | None = Field(
+        None, ge=0, lt=1 << 32, description="number of the frame; left out: one more than the frame before"
+    )
+    time: float | None = Field(
+        None,
+        ge=0,
+        le=MAX_TIME_S,
+        allow_inf_nan=False,
+        description="Unix time of the frame, s; left out: when it comes",
+    )
+
+
+class PushedNumber(Schema):
+    """A frame was taken."""
+
+    sequence: int = Field(description="its number; gaps between numbers count as lost frames", examples=[17])
 
 
 class Next(Schema):

@@ -101,6 +101,25 @@ class LinkerO20:
         return [message._replace(data=data[64:].ljust(12, b"\0") if second else data[:64])]
 
 
+class LinkerL30Hand:
+    """A hand on CAN FD: linkerhand-l30-sdk, core/linker_hand_l30_v6_2_canfd.py (get_finger_touch)."""
+
+    def __init__(self, node, matrices):
+        """`matrices` (12, 6) by finger."""
+        self.node, self.matrices = node, matrices
+
+    def receive(self, message):
+        priority_access_parent, finger = message.id >> 21, message.id >> 13 & 0xFF
+        destination, source, reserved = message.id >> 8 & 0x1F, message.id >> 3 & 0x1F, message.id & 7
+        assert (priority_access_parent, destination, source, reserved) == (2, self.node, 0, 0)
+        assert (message.data, message.extended, message.fd) == (bytes(2), True, True)
+        taxels = self.matrices[finger].tobytes()
+        id_ = 2 << 21 | finger << 13 | self.node << 3
+        for number, part in enumerate((taxels[:61], taxels[61:])):
+            data = bytes((len(part), 1 << 4 | number, 0)) + part
+            yield Message(0.0, id_, data.ljust(16 if number else 64, b"\0"), True, True)
+
+
 class TactilePuck:
     """A pad of a BarrettHand: libbarrett, src/products/tactile_puck.cpp and include/barrett/products/detail."""
 
@@ -134,3 +153,18 @@ class OmniHand2025:
         assert message.extended
         assert message.fd
         return [message._replace(data=self.parts[part].ljust(64, b"\0"))]
+
+
+class XelaOlder:
+    """A 4 x 4 board of an older generation, whose ids community drivers show; it sends once it is started."""
+
+    def __init__(self, controller, axes):
+        """`axes`: X, Y and Z (16, 3) of its taxels."""
+        self.controller, self.axes, self.sends = controller, axes, False
+
+    def receive(self, message):
+        assert (message.id, message.extended, message.fd) == (0x200 | self.controller, False, False)
+        assert message.data in (b"\x07\x00", b"\x07\x01")
+        self.sends = message.data == b"\x07\x00"
+        taxels = enumerate(self.axes) if self.sends else ()
+        return [Message(0.0, 0x100 | n // 4 << 4 | n % 4, b"\x83" + row.tobytes() + b"\0") for n, row in taxels]

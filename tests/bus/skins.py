@@ -9,9 +9,11 @@ from tactiled.bus.codecs.cyskin import CySkin
 from tactiled.bus.codecs.dbc import Dbc
 from tactiled.bus.codecs.icub import Icub
 from tactiled.bus.codecs.linker import Linker
+from tactiled.bus.codecs.linker_l30 import LinkerL30
 from tactiled.bus.codecs.omnihand import OmniHand
 from tactiled.bus.codecs.packed import Packed
 from tactiled.bus.codecs.poweron import PowerOn
+from tactiled.bus.codecs.pushed import Pushed
 from tactiled.bus.codecs.xela import Xela
 from tactiled.frames import Message
 
@@ -49,8 +51,10 @@ CODECS = {
     "linker-g20-5": Linker("right", (2, 3), layout="g20-5"),
     "linker-g20-7": Linker("left", (6, 1), layout="g20-7"),
     "linker-o20": Linker("left", (1, 5), layout="o20"),
+    "linker_l30": LinkerL30(2, (1, 4)),
     "omnihand": OmniHand(1, parts=(1, 5)),
     "omnihand-palm": OmniHand(3, parts=(2, 6)),
+    "pushed": Pushed(30),
     "dbc": Dbc(DBC, GRID),
     "dbc-pages": Dbc(DBC, ("Pages.P2", "Pages.P0", "Pages.P1")),
     "dbc-mixed": Dbc(DBC, ("Row0.T0_0", "Row1.T1_2", "Pages.P0", "Pages.P2", "Floats.F0", "Floats.Offset")),

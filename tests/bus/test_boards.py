@@ -6,9 +6,20 @@ import pytest
 from tactiled.bus.codecs.barrett import Barrett
 from tactiled.bus.codecs.icub import Icub
 from tactiled.bus.codecs.linker import Linker
+from tactiled.bus.codecs.linker_l30 import LinkerL30
 from tactiled.bus.codecs.omnihand import OmniHand
+from tactiled.bus.codecs.xela import Xela
 from tactiled.frames import BAD
-from tests.bus.boards import LinkerHand, LinkerO20, Mtb, OmniHand2025, TactilePuck, frames_of
+from tests.bus.boards import (
+    LinkerHand,
+    LinkerL30Hand,
+    LinkerO20,
+    Mtb,
+    OmniHand2025,
+    TactilePuck,
+    XelaOlder,
+    frames_of,
+)
 
 
 @pytest.mark.parametrize(
@@ -55,6 +66,15 @@ def test_a_linker_hand_answers_its_requests_with_every_taxel(layout, fingers, sh
         assert not frame.flags.any()
 
 
+def test_an_l30_answers_its_requests_with_every_taxel():
+    matrices = {each: np.random.default_rng(each).integers(0, 256, (12, 6), np.uint8) for each in (1, 5)}
+    frames = frames_of(LinkerL30(3, (5, 1)), LinkerL30Hand(3, matrices), 0.18)
+    assert len(frames) == 4
+    for frame in frames:
+        np.testing.assert_array_equal(frame.counts, [*matrices[5].ravel(), *matrices[1].ravel()])
+        assert not frame.flags.any()
+
+
 def test_a_barrett_pad_is_set_to_the_full_format_and_asked_for_every_frame():
     cells = np.random.default_rng(4).integers(0, 0x1000, 24).tolist()
     frames = frames_of(Barrett(11, 20.0), TactilePuck(11, cells), 0.16)
@@ -68,3 +88,10 @@ def test_an_omnihand_answers_its_requests_with_every_taxel():
     frames = frames_of(OmniHand(3, "left", (4, 6)), OmniHand2025(3, {4: finger, 6: palm}), 0.16)
     assert len(frames) == 4
     assert all(frame.counts.tolist() == [*finger[::-1], *palm] for frame in frames)
+
+
+def test_an_older_xela_board_is_started_and_stopped():
+    axes = np.random.default_rng(5).integers(0, 1 << 16, (16, 3)).astype(">u2")
+    board = XelaOlder(3, axes)
+    (frame,) = frames_of(Xela("4x4-old", 3, start=True), board, 0.1)
+    assert (frame.counts.tolist(), board.sends) == (axes[:, 2].tolist(), False)

@@ -8,6 +8,7 @@ from tactiled.bus.codecs.barrett import Barrett
 from tactiled.bus.codecs.cyskin import CySkin
 from tactiled.bus.codecs.icub import Icub
 from tactiled.bus.codecs.linker import Linker
+from tactiled.bus.codecs.linker_l30 import LinkerL30
 from tactiled.bus.codecs.omnihand import OmniHand
 from tactiled.bus.codecs.poweron import PowerOn
 from tactiled.bus.codecs.xela import Xela
@@ -206,6 +207,20 @@ def test_an_o20s_finger_is_a_status_and_taxels_in_two_messages(status, bad):
     for each in (second._replace(data=second.data[:8]), first._replace(id=0x21A000), first._replace(fd=False)):
         with pytest.raises(CodecError):
             codec.decode(each)
+
+
+@pytest.mark.parametrize("head", ["3d1001", "3c1000", "3d2000"])
+def test_an_l30s_finger_is_61_taxels_and_11_with_the_hand_as_their_source(head):
+    """As get_finger_touch of linkerhand-l30-sdk sends and reads it."""
+    codec = LinkerL30(1, (1,))
+    (request,) = [each.message for each in codec.polling.polls]
+    assert (request.id, request.data, request.extended, request.fd) == (0x402100, b"\0\0", True, True)
+    first = Message(0.0, 0x402008, bytes.fromhex("3d1000") + bytes(range(61)), True, True)
+    second = Message(0.0, 0x402008, bytes.fromhex("0b1100") + bytes(range(61, 72)) + b"\0\0", True, True)
+    assert codec.unpack(payloads_of(codec, [second, first])).tolist() == [*range(72)]
+    assert codec.encode(np.arange(72), 0, 0.0) == [first, second]
+    with pytest.raises(CodecError, match=f"begins {head[:2]} {head[2:4]} {head[4:]}"):  # a status, or no such part
+        codec.decode(first._replace(data=bytes.fromhex(head) + bytes(61)))
 
 
 @pytest.mark.parametrize(

@@ -16,8 +16,8 @@ from tests.study.health import (
     FAULTY,
     FULL_SCALE,
     NO_LOAD,
-    RATE_HZ,
     SHAPE,
+    SLOW_HZ,
     Run,
     discs,
     false_alarms,
@@ -37,11 +37,11 @@ from tests.study.health import (
 )  # fmt: skip
 def test_a_fault_is_found_named_and_undone_when_the_taxel_heals(fault, thickness, within_s):
     random = np.random.default_rng(fault)
-    run = Run(plan(SHAPE, thickness), np.ones(100))
+    run = Run(plan(SHAPE, thickness), np.ones(100), SLOW_HZ)
     assert play(run, random, 30) == []
     ((frame, change),) = play(run, random, 60, fault)
     assert (change.taxel, change.before, change.after) == (FAULTY, Fault.HEALTHY, fault)
-    assert frame < within_s * RATE_HZ
+    assert frame < within_s * SLOW_HZ
     assert np.flatnonzero(run.calibrator.faulty).tolist() == [FAULTY]
     state = run.monitor.state
     assert state.faults[FAULTY] == fault
@@ -73,24 +73,24 @@ def test_a_skin_without_a_known_ceiling_is_not_saturated(no_load, gain):
     calibration = Calibration(gain, no_load)
     calibrator = Calibrator(calibration, 16)
     monitor = SkinMonitor(skin.array, skin.kernel, calibration, (-np.inf, np.inf), 0xFFFF)
-    for n in range(6000):
+    for n in range(960):
         counts = np.round(random.normal(no_load, 5, 16)).astype(np.float32)
-        monitor.push(RawFrame(n, n / RATE_HZ, 0.0, counts, np.zeros(16, np.uint8), Loss()), calibrator)
+        monitor.push(RawFrame(n, n / SLOW_HZ, 0.0, counts, np.zeros(16, np.uint8), Loss()), calibrator)
     assert not monitor.state.faults.any()
 
 
 def test_a_weak_taxel_is_no_fault_where_gains_were_not_measured():
     random = np.random.default_rng(3)
-    run = Run(plan(SHAPE, 1.0))
+    run = Run(plan(SHAPE, 1.0), rate_hz=SLOW_HZ)
     assert play(run, random, 90, Fault.WEAK) == []
 
 
 def test_quiet_rounded_taxels_are_not_stuck_however_noisy_the_others_are():
     random = np.random.default_rng(4)
-    run = Run(plan(SHAPE, 1.0))
+    run = Run(plan(SHAPE, 1.0), rate_hz=SLOW_HZ)
     noise = np.full(100, 3.0)
     noise[[12, 57]] = 0.1, 0.0
-    for _ in range(6000):
+    for _ in range(960):
         assert run.push(NO_LOAD + random.normal(0, noise)) == []
 
 
@@ -98,10 +98,10 @@ def test_quiet_rounded_taxels_are_not_stuck_however_noisy_the_others_are():
 def test_readings_at_the_end_of_their_range_that_neighbours_share_are_not_stuck(value):
     """Below zero a converter reads 0 all the time; a heavy load is at the ceiling."""
     random = np.random.default_rng(5)
-    run = Run(plan(SHAPE, 0.5))
-    for n in range(6000):
+    run = Run(plan(SHAPE, 0.5), rate_hz=SLOW_HZ)
+    for n in range(960):
         counts = NO_LOAD + random.normal(0, 3, 100)
-        if n > 3000:
+        if n > 480:
             counts[[0, 1, 10, 11]] = value - np.sign(NO_LOAD - value) * 50
         assert run.push(counts) == []
 
@@ -168,11 +168,11 @@ def test_no_taxel_is_noisy_where_most_are_loaded_and_frames_come_unevenly():
 
 def test_a_dead_row_is_found_though_its_taxels_are_each_others_neighbours():
     random = np.random.default_rng(6)
-    run, changes = Run(plan(SHAPE, 1.0)), []
+    run, changes = Run(plan(SHAPE, 1.0), rate_hz=SLOW_HZ), []
     presses = discs(random, FAULTY)
-    for n in range(int(300 * RATE_HZ)):
-        if n % 300 == 0:
-            pressed = next(presses) if n % 600 == 0 else np.zeros(100)
+    for n in range(int(300 * SLOW_HZ)):
+        if n % 48 == 0:
+            pressed = next(presses) if n % 96 == 0 else np.zeros(100)
         counts = NO_LOAD + pressed
         counts[40:50] = NO_LOAD
         changes += run.push(counts + random.normal(0, 1, 100))
@@ -182,7 +182,7 @@ def test_a_dead_row_is_found_though_its_taxels_are_each_others_neighbours():
 
 def test_noise_is_measured_for_each_taxel_whatever_presses_on_it():
     random = np.random.default_rng(7)
-    run = Run(plan(SHAPE, 1.0))
+    run = Run(plan(SHAPE, 1.0), rate_hz=SLOW_HZ)
     noise = np.linspace(1, 8, 100)
     play(run, random, 90, noise=noise)
     np.testing.assert_allclose(run.monitor.state.noise_counts, noise, rtol=0.25)

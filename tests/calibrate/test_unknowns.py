@@ -38,7 +38,7 @@ def laid(array, thickness, blur=0.0, count=3):
     """Edges, each a mean of edges at offsets that spread by `blur` (mm)."""
     random = np.random.default_rng(5)
     world, skin = World(array, rubber(thickness)), Skin(array.size, random, gain_error=0.01, dead=0)
-    spread = blur * np.array([-1.5, -0.75, 0, 0.75, 1.5]) if blur else np.zeros(1)
+    spread = blur * np.array([-1.3, 0, 1.3]) if blur else np.zeros(1)
     edges = [np.mean([world.edge(np.pi / 2 * n + 0.3, s) for s in spread], axis=0) for n in range(count)]
     return [skin.press(each, array) for each in edges]
 

@@ -52,7 +52,7 @@ def test_a_bus_is_listened_to(palm, playing, no_load, exit_code):
     assert re.search(
         r"bus can0: \d+ messages in 1 s\n  palm: \d+\.\d frames a second, 0 messages lost", done.stdout
     )
-    assert "  unknown id 6a1: " in done.stdout
+    assert "  unknown id 0x6a1: " in done.stdout
     assert ("no_load = 1000: half of the array is at 60" in done.stdout) == (exit_code == 1)
 
 

@@ -71,3 +71,7 @@ def test_init_writes_a_valid_configuration_and_never_overwrites(tmp_path):
     for line in ("gain at the taxel Nyquist", "smallest resolvable gap", "is valid: 1 sensor, 1 bus"):
         assert line in output
     assert "b.toml is there already" in refusal("init", path)
+    assert "--positions p.ini: needs --from-icub" in refusal("init", tmp_path / "c.toml", "--positions", "p.ini")
+    assert "--skin icub: no such skin: choose one of agibot-omnihand, " in refusal("init", path, "--skin", "icub")
+    assert "leave one of them out" in refusal("init", path, "--skin", "cyskin", "--from-icub", "no.xml")
+    assert "no.xml: No such file" in refusal("init", tmp_path / "c.toml", "--from-icub", "no.xml")

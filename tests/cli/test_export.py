@@ -1,3 +1,4 @@
+import csv
 import json
 import shutil
 import subprocess
@@ -12,7 +13,10 @@ import h5py
 import numpy as np
 import pytest
 from mcap.reader import make_reader
+from mcap.records import SummaryOffset
+from mcap.stream_reader import StreamReader
 from mcap_protobuf.decoder import DecoderFactory
+from pyarrow import parquet
 
 from tactiled.archive.arrays import METHOD_NAME, Hdf5Writer, NpzWriter
 from tactiled.archive.zarr_group import ZarrWriter
@@ -111,14 +115,49 @@ def test_an_export_has_the_regions_that_the_sensor_has_in_its_service(tmp_path, 
 def test_hdf5_holds_the_arrays_of_npz_with_their_units(tmp_path, config, lossy):
     npz = np.load(exported(lossy, config, tmp_path / "a.npz"))
     with h5py.File(exported(lossy, config, tmp_path / "a.h5")) as got:
-        assert {*got} | {"provenance"} == {*npz}
-        for name in got:
-            values = got[name].asstr()[()].astype(METHOD_NAME) if name == "method" else got[name][()]
+        dimensions = {name for name in got if got[name].attrs.get("NAME", b"").startswith(b"This is a netCDF")}
+        assert dimensions == {"row", "column", "cell_row", "cell_column", "taxel", "cell", "axis"}
+        assert {*got} - dimensions | {"provenance"} == {*npz}
+        for name in {*got} - dimensions:
+            text = name in ("method", "loss_kind")
+            values = got[name].asstr()[()].astype(npz[name].dtype) if text else got[name][()]
             assert values.dtype == npz[name].dtype
             assert values.tobytes() == npz[name].tobytes()
         assert got.attrs["provenance"] == npz["provenance"].item()
         assert got["raw"].attrs["units"] == "kPa"
-        assert got["cells_mm"].attrs["units"].startswith("mm")
+        assert got["time"].attrs["units"] == "seconds since 1970-01-01"
+        assert [each.keys() for each in got["loss"].dims] == [["time"], ["loss_kind"]]
+
+
+def test_tables_have_a_row_a_frame_and_leave_out_what_is_not_known(tmp_path, config, lossy, keep_regions):
+    keep_regions(heel=HEEL)
+    npz = np.load(exported(lossy, config, tmp_path / "a.npz"))
+    table = parquet.read_table(exported(lossy, config, tmp_path / "a.parquet"))
+    with exported(lossy, config, tmp_path / "a.csv").open(newline="") as file:
+        lines = [*csv.DictReader(file)]
+    metadata = parquet.read_metadata(tmp_path / "a.parquet").metadata
+    about = {name: json.loads(metadata[name.encode()]) for name in ("provenance", "shapes", "positions_mm")}
+    assert about["provenance"] == json.loads(npz["provenance"].item())
+    assert about["shapes"] == {"raw": [8, 8], "restored": [8, 8], "flags": [8, 8]}
+    np.testing.assert_array_equal(about["positions_mm"], npz["positions_mm"])
+    times = table["time"].to_numpy()
+    np.testing.assert_array_equal(times, (npz["time"] * 1e6).round().astype("M8[us]"))
+    loss = {f"loss_{kind}": npz["loss"][:, n] for n, kind in enumerate(npz["loss_kind"])}
+    heel = {f"heel_{each}": npz["regions"][:, 0, n] for n, each in enumerate(npz["measure"])}
+    units = {"heel_force": "_N", "heel_area": "_mm2"} | dict.fromkeys(("heel_mean", "heel_peak", "noise"), "_kPa")
+    for name, expected in ({each: npz[each] for each in ("sequence", "method", "noise")} | loss | heel).items():
+        assert table[name].to_pylist() == [None if each != each else each for each in expected.tolist()]
+        text = [each[name + units.get(name, "")] for each in lines]
+        if name in units:
+            np.testing.assert_allclose([float(each or "nan") for each in text], expected, rtol=1e-5)
+        else:
+            assert text == [str(each) for each in expected.tolist()]
+    assert table["raw"].combine_chunks().values.null_count == np.isnan(npz["raw"]).sum() > 0
+    for name, heading in (("raw", "raw_kPa"), ("restored", "restored_kPa"), ("flags", "flags")):
+        values = [[np.nan if each is None else each for each in row] for row in table[name].to_pylist()]
+        np.testing.assert_array_equal(values, npz[name].reshape(FRAMES, -1))
+        cells = [[float(each[f"{heading}_{n // 8}_{n % 8}"] or "nan") for n in range(64)] for each in lines]
+        np.testing.assert_array_equal(np.float32(cells), npz[name].reshape(FRAMES, -1))
 
 
 def test_an_export_names_a_thinner_cover_from_the_frame_on_that_shows_it(tmp_path):
@@ -149,16 +188,31 @@ def topics(path):
         return by_topic, next(iter(reader.iter_metadata())).metadata["json"]
 
 
+def check_mcap(path):
+    """What `mcap doctor` reports: log times that fall, channels without messages, offsets to nothing."""
+    with path.open("rb") as file:
+        reader = make_reader(file)
+        times = [each.log_time for _, _, each in reader.iter_messages(log_time_order=False)]
+        summary = reader.get_summary()
+        file.seek(0)
+        offsets = [each for each in StreamReader(file).records if isinstance(each, SummaryOffset)]
+    assert times == sorted(times)
+    assert min(summary.statistics.channel_message_counts[number] for number in summary.channels) > 0
+    assert len(summary.channels) == len(summary.statistics.channel_message_counts)
+    assert all(each.group_length for each in offsets)
+
+
 def test_mcap_holds_images_and_messages_in_foxgloves_schemas(tmp_path, config, lossy):
     npz = np.load(exported(lossy, config, tmp_path / "a.npz"))
-    got, provenance = topics(exported(lossy, config, tmp_path / "a.mcap"))
+    check_mcap(exported(lossy, config, tmp_path / "a.mcap"))
+    got, provenance = topics(tmp_path / "a.mcap")
     assert json.loads(provenance) == json.loads(npz["provenance"].item())
     for name in ("raw", "restored"):
         assert {each.schema.name for each in got[f"/palm/{name}"]} == {"foxglove.Grid"}
         grids = [pressures(each.decoded_message) for each in got[f"/palm/{name}"]]
         np.testing.assert_array_equal(grids, npz[name])
     assert [each.decoded_message["method"] for each in got["/palm/status"]] == npz["method"].tolist()
-    times = [each.message.log_time for each in got["/palm/raw"]]
+    times = [each.message.publish_time for each in got["/palm/raw"]]
     np.testing.assert_allclose(np.array(times) * 1e-9, npz["time"], atol=1e-6)
     assert [(each.decoded_message["id"], b64decode(each.decoded_message["data"])) for each in got["/can0"]] == [
         (each.id, bytes(each.data)) for each in recording.read(lossy)
@@ -205,7 +259,12 @@ def test_shear_of_a_3_axis_skin_in_every_format(tmp_path):
 
 @pytest.mark.parametrize(
     ("ending", "package", "extra"),
-    [("mcap", "foxglove", "foxglove"), ("mcap", "mcap", "foxglove"), ("h5", "h5py", "hdf5")],
+    [
+        ("mcap", "foxglove", "foxglove"),
+        ("mcap", "mcap", "foxglove"),
+        ("h5", "h5py", "hdf5"),
+        ("parquet", "pyarrow", "parquet"),
+    ],
 )
 def test_a_missing_library_is_named_before_any_work(tmp_path, config, monkeypatch, ending, package, extra):
     monkeypatch.setattr("tactiled.archive.writers.find_spec", lambda name: name != package)
@@ -239,7 +298,7 @@ def test_wrong_files_are_refused_and_nothing_is_written(tmp_path, config, lossy)
     old.write_text("old")
     before = sorted(tmp_path.iterdir())
     for log, out, message in (
-        (lossy, tmp_path / "a.csv", "unsupported format; use .npz, .h5, .mcap"),
+        (lossy, tmp_path / "a.tsv", "unsupported format; use .npz, .h5, .csv, .parquet"),
         (lossy, old, "is there already"),
         (lossy, tmp_path / "gone" / "a.npz", "No such file or directory"),
         (lossy, tmp_path / f"{300 * 'a'}.npz", "File name too long"),
@@ -294,6 +353,8 @@ FAULTS = [
     ("h5", FULL.format(1000), "File too large: nothing is written"),
     ("h5", FULL.format(50_000), "File too large: nothing is written"),
     ("mcap", FULL.format(20_000), "File too large: nothing is written"),
+    ("parquet", FULL.format(1000), "File too large: nothing is written"),
+    ("csv", FULL.format(10_000), "File too large: nothing is written"),
     ("rrd", FULL.format(10_000), "nothing is written"),
 ]
 

@@ -17,7 +17,7 @@ CHUNK = 16  # frames
 
 @contextmanager
 def open_zarr(path):
-    yield zarr.open_group(path, mode="r")
+    yield zarr.open_consolidated(path, mode="r")
 
 
 @pytest.fixture
@@ -39,13 +39,22 @@ def test_it_holds_the_arrays_of_npz_in_chunks_of_frames_with_units_and_provenanc
         for name in got:
             values = got[name][:].astype(npz[name].dtype)
             assert values.tobytes() == npz[name].tobytes()
-            if not name.endswith("_mm"):
+            if got[name].metadata.dimension_names[0] == "time":
                 assert got[name].dtype.kind in ("T", npz[name].dtype.kind)
                 assert got[name].chunks == (CHUNK, *npz[name].shape[1:])
         about = json.loads(npz["provenance"].item())
         assert dict(got.attrs) == {"provenance": about}
         assert (about["recording"]["left_out"], about["recording"]["caveats"]) == ({"error frame": 1}, [])
-        assert {name: got[name].attrs["units"] for name in got if name != "method"} == about["units"]
+        units = {name: got[name].attrs["units"] for name in got if "units" in got[name].attrs}
+        assert units == about["units"] == dict.fromkeys(("raw", "restored", "noise", "noise_kpa"), "kPa") | {
+            "time": "seconds since 1970-01-01", "positions_mm": "mm", "cells_mm": "mm"
+        }  # fmt: skip
+        assert dict(got["flags"].attrs) == {
+            "long_name": "bits, as in flag_bits",
+            "flag_masks": [*about["flag_bits"].values()],
+            "flag_meanings": "missing bad dead saturated out_of_range faulty below_zero",
+        }
+        assert got["loss_kind"][:].tolist() == about["loss_kinds"]
         assert got["restored"].metadata.dimension_names == ("time", "cell_row", "cell_column")
         assert got["loss"].metadata.dimension_names == ("time", "loss_kind")
         assert got["cells_mm"].metadata.dimension_names == ("cell", "axis")

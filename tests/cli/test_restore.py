@@ -89,6 +89,43 @@ def test_any_real_numbers_are_accepted_and_a_finer_surface_makes_larger_images(c
     assert restored(npy(press(40).astype(dtype)), config(refine=refine)).shape == (40, *shape)
 
 
+def test_a_csv_and_the_array_in_options_need_no_configuration(config, npy, tmp_path):
+    frames = press(20)
+    frames[3, 2, 2] = np.nan
+    text = "\n".join(",".join("" if np.isnan(each) else f"{each:.9g}" for each in one.ravel()) for one in frames)
+    path = tmp_path / "frames.csv"
+    names = ",".join(f"t{n}" for n in range(48))
+    path.write_text(f"{names}\n{text}\n", "utf-8-sig")
+    plain = ("--grid", "8x6", "--pitch", 1.0, "--layer", "0.8,0.6,0.48", "--noise", 0.5)
+    by = {}
+    for one in (path, npy(frames)):
+        out = tmp_path / f"{one.suffix}.npy"
+        succeed("restore", one, "-o", out, *plain)
+        by[one.suffix] = np.load(out)
+    np.testing.assert_array_equal(by[".csv"], by[".npy"])
+    exact = restored(path, config(), "--noise", 0.5)  # whose kernel is the exact one, and which has a dead taxel
+    np.testing.assert_allclose(by[".csv"][15, 2:6, 2:4], exact[15, 2:6, 2:4], rtol=0.05)
+    path.write_text(f"{names}\n{text},7\n")
+    refused = refusal("restore", path, "-o", tmp_path / "no.npy", *plain)
+    assert "frames.csv: line 21: 49 fields: give 48, one for each taxel of sensor frames" in refused
+    path.write_text(text + "\n" + ",".join(["x"] * 48))
+    assert "line 21: could not convert" in refusal("restore", path, "-o", tmp_path / "no.npy", *plain)
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ((), "--grid is missing: give --config, or --grid, --pitch and --layer"),
+        (("--grid", "8", "--pitch", 1, "--layer", "1,1,.4"), "--grid 8: give ROWSxCOLUMNS"),
+        (("--grid", "8x6", "--pitch", 1, "--layer", "1,1"), "--layer 1,1: give T,E,NU"),
+        (("--grid", "8x6", "--pitch", 1, "--layer", "1,1,.6"), "options: sensor.frames.cover[0].poisson = 0.6"),
+        (("--config", "x.toml", "--pitch", 1), "--pitch: --config says it"),
+    ],
+)
+def test_an_array_that_options_do_not_describe_is_refused(npy, tmp_path, options, words):
+    assert words in refusal("restore", npy(press(2)), "-o", tmp_path / "o.npy", *options)
+
+
 def test_the_noise_is_measured(plan):
     frames = press(200)
     noise = Offline(plan, frames).noise_kpa

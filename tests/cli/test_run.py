@@ -70,6 +70,7 @@ def test_a_zenoh_table_without_publish_is_said_to_have_no_effect(tmp_path, monke
     zenoh = '[zenoh]\nconnect = ["tcp/127.0.0.1:7447"]\nrobot = "r1"\n'
     (tmp_path / "palm.toml").write_text(zenoh + CONFIG.format(channel="none"))
     monkeypatch.setattr("tactiled.cli.run.serve", lambda *_: None)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))  # an empty cache
     done = run("run", tmp_path / "palm.toml")
     assert done.exit_code == 0
     assert done.stderr.splitlines() == [

@@ -21,7 +21,7 @@ def test_a_bus_is_listened_to_and_a_configuration_written(tmp_path, request, pla
     for line in (
         "packed layout, CAN FD, array 2 at 0x500, 12 bits a taxel: 64 taxels, 2 messages a frame on id",
         "iCub MTB, class 0x400, board 3, triangles 1, 4: 20 taxels, 4 messages a frame on ids 0x431 to",
-        "unknown id 6a1: ",
+        "unknown id 0x6a1: ",
         "wrote ",
     ):
         assert line in output
@@ -46,8 +46,8 @@ def test_a_bus_of_a_file_without_sensors_is_listened_to_and_recorded(tmp_path, r
 
 
 SKINS = (
-    "barrett", "cyskin", "linker", "linker-o6", "linker-g20-5", "linker-o20", "omnihand", "poweron", "xela",
-    "xela-4x6-old",
+    "barrett", "cyskin", "linker", "linker-o6", "linker-g20-5", "linker-o20", "linker_l30", "omnihand", "poweron",
+    "xela", "xela-4x6-old",
 )  # fmt: skip
 
 

@@ -1,8 +1,11 @@
 import pytest
 
-from tactiled.config import load, parse
+from tactiled.build import make_array, make_codec
+from tactiled.bus import skins
+from tactiled.config import load, parse, ready
 from tactiled.config.example import EXAMPLE
 from tactiled.errors import ConfigError
+from tactiled.plausibility.settings import unedited
 
 COVER = "sensor.palm.cover[0]"
 
@@ -17,6 +20,7 @@ COVER = "sensor.palm.cover[0]"
         ("thickness_mm = 1.2", 'thickness_mm = "1.2 mm"', COVER + ".thickness_mm = '1.2 mm': "),
         ("young_mpa = 0.6", "young_mpa = nan", COVER + ".young_mpa = nan: give 0.001 to 1e7 MPa"),
         ("poisson = 0.48", "poisson = 0.5", COVER + ".poisson = 0.5: give 0 to 0.49999"),
+        ("id = 0x500", "id = 0x20000000", "sensor.palm.codec.base_id = 0x20000000: give 0x0 to 0x1ffffff0"),
         ("bits = 12 ", "bits = 20 ", "sensor.palm.codec.bits = 20: give 8 to 16"),
         ("bits = 12 ", 'bits = "12" ', "sensor.palm.codec.bits = '12': Input should be a valid integer"),
         ("young_mpa = 0.6", "young_mpa = true", COVER + ".young_mpa = True: Input should be a valid number"),
@@ -83,6 +87,34 @@ def test_two_sensors_of_one_name_in_ros_are_an_error_where_ros_is_used():
     assert len(parse(text).sensor) == 2
     with pytest.raises(ConfigError, match=r"sensor.left-palm and sensor.left_palm: both are left_palm in ROS 2"):
         parse(f'{text}\n[zenoh]\nlisten = ["tcp/127.0.0.1:7447"]\nros_domain = 0\n')
+
+
+@pytest.mark.parametrize("name", ready.READY)
+def test_the_configuration_of_every_skin_is_complete_and_doubtful_until_it_is_edited(name):
+    text = ready.configuration(name)
+    (sensor,) = parse(text).sensor.values()
+    assert make_codec(sensor).size == make_array(sensor).size
+    assert len(unedited(text)) >= 1 + (name != "pushed")
+
+
+def test_every_skin_with_messages_of_its_own_has_a_configuration():
+    named = {parse(ready.configuration(each)).sensor["skin"].codec.name for each in ready.READY}
+    assert named == {*skins.BUILT_IN} - {"dbc", "packed"}  # which describe any array
+
+
+def test_a_sensor_without_bus_and_codec_has_a_bus_of_its_own():
+    at = EXAMPLE.index("[sensor.palm.codec]"), EXAMPLE.index("[sensor.palm.array]")
+    text = EXAMPLE[: at[0]].replace('bus = "can0"', "") + EXAMPLE[at[1] :]
+    config = parse(text)
+    assert (config.sensor["palm"].bus, config.sensor["palm"].codec.name) == ("palm", "pushed")
+    assert config.bus["palm"].settings()["interface"] == "virtual"
+    assert "can0" in config.bus
+    with pytest.raises(
+        ConfigError, match=r"sensor\.palm: without bus and codec its frames are pushed: rename bus"
+    ):
+        parse(text.replace("bus.can0", "bus.palm"))
+    with pytest.raises(ConfigError, match=r"sensor\.palm\.codec: missing"):
+        parse(EXAMPLE[: at[0]] + EXAMPLE[at[1] :])
 
 
 LAYER = "thickness_mm = 1.2\nyoung_mpa = 0.6\npoisson = 0.48\n"

@@ -2,16 +2,29 @@
 
 import sys
 from contextlib import contextmanager
+from importlib import metadata
 from importlib.abc import Loader, MetaPathFinder
 from importlib.machinery import ModuleSpec
 from types import ModuleType
 
-PACKAGES = {"accelerate", "av", "datasets", "deepdiff", "einops", "huggingface_hub", "pandas", "pyarrow"}
+PACKAGES = {
+    "accelerate",
+    "av",
+    "datasets",
+    "deepdiff",
+    "einops",
+    "gymnasium",
+    "huggingface_hub",
+    "pandas",
+    "pyarrow",
+}
 PACKAGES |= {"safetensors", "torch", "torchvision", "tqdm"}
 
 
 class Attributes(type):
     def __getattr__(cls, name):
+        if name.startswith("__"):
+            raise AttributeError(name)
         return cls
 
 
@@ -55,9 +68,12 @@ def stand_ins():
     for name in before:
         del sys.modules[name]
     sys.meta_path.insert(0, finder)
+    version = metadata.version  # LeRobot 0.6 asks for it
+    metadata.version = lambda name: "0" if name in PACKAGES else version(name)
     try:
         yield
     finally:
+        metadata.version = version
         sys.meta_path.remove(finder)
         for name in [each for each in sys.modules if each.partition(".")[0] in PACKAGES]:
             del sys.modules[name]

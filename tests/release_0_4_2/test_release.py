@@ -1,6 +1,7 @@
 """Configuration, recording and client script of release 0.4.2 still work."""
 
 import json
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -13,6 +14,7 @@ from tests.conftest import BUSY_S
 KIT = Path(__file__).parent
 CONFIG, RECORDING = KIT / "hand.toml", KIT / "hand.log"
 TACTILED = (sys.executable, "-m", "tactiled")
+CLIENT_PYTHON = os.environ.get("CLIENT_PYTHON", sys.executable)  # of an environment without the service
 
 
 @pytest.mark.parametrize("sensor", ["palm", "skin"])
@@ -53,7 +55,7 @@ def test_client_gets_the_same_answers():
     with subprocess.Popen(replay, stdout=subprocess.PIPE, text=True) as service:
         try:
             address = next(word for line in service.stdout for word in line.split() if word.startswith("http://"))
-            client = [sys.executable, KIT / "client.py", address.rstrip("/")]
+            client = [CLIENT_PYTHON, KIT / "client.py", address.rstrip("/")]
             answers = subprocess.run(
                 client, check=True, timeout=2 * BUSY_S, stdout=subprocess.PIPE, text=True
             ).stdout

@@ -11,7 +11,8 @@ from tactiled.runtime.service import Service
 from tests.conftest import CONFIG, NO_LOAD, until
 
 
-def test_several_sensors_on_several_buses(request):
+def test_several_sensors_on_several_buses(request, tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))  # an empty cache
     names = [f"{request.node.name}-{n}" for n in (0, 1)]
     palm = CONFIG.format(channel=names[0])
     index = palm.partition("[sensor.palm]")[2].replace('"packed"', '"packed", array_id = 3')
@@ -19,8 +20,7 @@ def test_several_sensors_on_several_buses(request):
     both = f"{palm}{thumb}[sensor.index]{index}"
     lines = []
     service = Service(parse(both), report=lines.append)
-    solving = [f"{name}: solving the cover ({n} of 3)" for n, name in enumerate(("palm", "thumb", "index"), 1)]
-    assert lines == solving
+    assert lines == ["palm: solving the cover (1 of 3)"]  # the others have the same
     ends = {"can0": open_bus("virtual", channel=names[0]), "can1": open_bus("virtual", channel=names[1])}
     with service.running():
         for n, (name, sensor) in enumerate(service.sensors.items()):

@@ -5,6 +5,7 @@ from threadpoolctl import threadpool_limits
 
 from tests.study import (
     blind,
+    border,
     bus,
     contacts,
     cover,
@@ -27,7 +28,7 @@ from tests.study import (
 
 app = typer.Typer(add_completion=False, no_args_is_help=True)
 for measurement in (
-    blind.blind, bus.bus, bus.against, contacts.contacts, cover.cover, eflesh.eflesh, felt.felt,
+    blind.blind, border.border, bus.bus, bus.against, contacts.contacts, cover.cover, eflesh.eflesh, felt.felt,
     frame_times.frame_times, frame_times.frames_against, health.health, insole.insole, invented.invented,
     judge.judge, mistakes.mistakes, restart.restart, restore.restore, sensors.sensors,
     sensors.sensors_against, soak.soak, train.train, transitions.transitions, zenoh.zenoh,

@@ -205,10 +205,10 @@ def discs(random, taxel=None, skin=None):
 def play(run, random, seconds, fault=None, taxel=FAULTY, noise=2.0):
     """Press discs for so long with a fault on a taxel; gives the changes, each with its frame from the start."""
     presses, changes, began = discs(random, taxel, run.skin), [], run.frames
-    for n in range(int(seconds * RATE_HZ)):
-        if n % int(2 * PRESS_S * RATE_HZ) == 0:
+    for n in range(int(seconds * run.rate_hz)):
+        if n % int(2 * PRESS_S * run.rate_hz) == 0:
             pressed = next(presses)
-        lies = n / RATE_HZ % (2 * PRESS_S) < PRESS_S
+        lies = n / run.rate_hz % (2 * PRESS_S) < PRESS_S
         counts = NO_LOAD + pressed * lies + random.normal(0, noise, pressed.size)
         if fault is not None:
             counts[taxel] = spoil(fault, counts[taxel], random)

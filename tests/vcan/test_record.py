@@ -91,5 +91,5 @@ def test_sniff_recognises_a_skin_among_other_messages(bus, run, tmp_path):
     assert sniffing.returncode == 0, output
     assert re.search(r"packed layout, classic, array 2 at 0x500.* 4 messages a frame on id 0x502", output), output
     assert "lost" not in output
-    assert re.search(r"unknown id 6a1: \d+ messages", output), output
+    assert re.search(r"unknown id 0x6a1: \d+ messages", output), output
     assert "array_id = 2" in config.read_text()

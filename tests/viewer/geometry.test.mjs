@@ -114,3 +114,24 @@ test("a region holds what the frame that is shown has in it, and nothing is know
   frame.restored[5] = NaN;
   assert.equal(measureRegion(rectangle, frame, cells), null);
 });
+
+test("a ring in two halves has its own cells alone, not the bead in its middle or one that is no contact", () => {
+  const plane = grid(13, 13);
+  const { x, y, area } = plane.restored;
+  const far = (i) => Math.hypot(x[i] - x[84], y[i] - y[84]) / plane.pitch; // from the middle
+  const cells = [...x.keys()];
+  const ring = cells.filter((i) => Math.abs(far(i) - 4) < 0.6);
+  const halves = [ring.filter((i) => x[i] < x[84]), ring.filter((i) => x[i] >= x[84])];
+  const spread = (of, at) => Math.sqrt(of.reduce((sum, i) => sum + (at[i] - centre(of, at)) ** 2, 0) / of.length + 0.3);
+  const centre = (of, at) => of.reduce((sum, i) => sum + at[i], 0) / of.length;
+  const contact = (of, n) => ({
+    id: n, x_mm: centre(of, x), y_mm: centre(of, y), peak: 50, force: 0.05 * area[0] * of.length,
+    major_mm: spread(of, y), minor_mm: spread(of, x), angle_rad: Math.PI / 2,
+  });
+  const bead = [84];
+  const restored = Float32Array.from(cells, (i) => (ring.includes(i) || i === 84 || i === 0 ? 50 : 0));
+  const outline = new ContactOutline();
+  outline.update({ sequence: 1, noise: 0.5, noiseGain: 1, restored }, plane, [...halves, bead].map(contact), 2);
+  assert.deepEqual([...outline.cells], [halves[0].length, halves[1].length, 1]);
+  assert.deepEqual([...outline.outlined], [1, 1, 0]);
+});

@@ -18,11 +18,13 @@ from tactiled.config import parse
 from tactiled.runtime.service import Service
 from tactiled.simulate import play, player
 from tactiled.web.server import running
+from tests.viewer.conftest import CHROMIUM
 
 RATE_HZ = 75.0  # of the sensor: above the screen's
 FRAMES = 256  # that are simulated before and repeated: one round of the codec's sequence numbers
 WARM_UP_MS = 30_000  # until the browser has compiled what paints, and the last ten seconds are full
 SPAN_MS = 30_000
+LATE_MS = 1000 / 60 + 50  # from one painting to the next, beyond which it is late
 WALL_SENSORS = 8
 BUS = """
 [bus.can0]
@@ -52,6 +54,14 @@ CanvasRenderingContext2D.prototype.putImageData = function (...image) {
   put.apply(this, image);
 };
 """
+WATCH_PAINTINGS = """
+window.gaps = [];
+let before = 0;
+addEventListener("DOMContentLoaded", () => new MutationObserver(() => {
+  window.gaps.push(performance.now() - before);
+  before = performance.now();
+}).observe(document.documentElement, { attributeFilter: ["data-painted"] }));
+"""
 PAINTED = "Number(document.documentElement.dataset.painted)"
 PAINTED_ON_WALL = f"window.maps / {WALL_SENSORS}"
 
@@ -75,12 +85,15 @@ def measure(browser: Browser, page: Page, painted_now: str) -> None:
     session = page.context.new_cdp_session(page)
     session.send("Performance.enable", {"timeDomain": "threadTicks"})
     page.wait_for_timeout(WARM_UP_MS)
+    page.evaluate("gaps.length = 0")
     painted, before = page.evaluate(painted_now), metrics(session)
     page.wait_for_timeout(SPAN_MS)
     after, frames = metrics(session), page.evaluate(painted_now) - painted
     span_s = after["Timestamp"] - before["Timestamp"]
     busy_s = after["TaskDuration"] - before["TaskDuration"]
-    print(f"{frames / span_s:.1f} frames/s painted; main thread: {busy_s / span_s:.1%} of a core")
+    gaps = page.evaluate("gaps")
+    late = f"{sum(each > LATE_MS for each in gaps)} late by over 50 ms, the latest {max(gaps, default=0.0):.0f} ms"
+    print(f"{frames / span_s:.1f} frames/s painted, {late}; main thread: {busy_s / span_s:.1%} of a core")
     session.send("HeapProfiler.startSampling", SAMPLING)
     painted = page.evaluate(painted_now)
     page.wait_for_timeout(SPAN_MS)
@@ -113,9 +126,10 @@ def main() -> None:
     with running(service) as url, sync_playwright() as playwright:
         service.start()
         sender.start()
-        browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=["--no-sandbox"])
+        browser = playwright.chromium.launch(executable_path=shutil.which(CHROMIUM), args=["--no-sandbox"])
         page = browser.new_page(viewport={"width": 1440, "height": 900})
         page.add_init_script(COUNT_MAPS if wall else "")
+        page.add_init_script(WATCH_PAINTINGS)
         page.goto(f"{url}#/wall" if wall else url)
         measure(browser, page, PAINTED_ON_WALL if wall else PAINTED)
         browser.close()

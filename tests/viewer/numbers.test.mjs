@@ -10,10 +10,10 @@ const check = (convert, table) => {
   for (const [value, text] of table) assert.equal(convert(value), text, `${value}`);
 };
 
-test("a force has two decimals, a small one three digits", () => {
+test("a force has three digits", () => {
   check(newtons, [
     [0, "0.00"], [1e-9, "0.00"], [-1e-9, "0.00"], [0.00123456, "0.00123"], [-0.00456, "−0.00456"],
-    [0.009999, "0.0100"], [0.09994, "0.0999"], [0.09996, "0.10"], [0.1, "0.10"], [12.345, "12.35"], [-1.234,
+    [0.009999, "0.0100"], [0.09994, "0.0999"], [0.09996, "0.100"], [0.12345, "0.123"], [12.345, "12.3"], [-1.234,
       "−1.23"],
     [NaN, "–"],
   ]);

@@ -2,9 +2,15 @@ import assert from "node:assert/strict";
 import test from "node:test";
 
 import { gappedLine } from "../../tactiled/web/static/chart.js";
+import { AxisWindow, TimeWindow } from "../../tactiled/web/static/chart_window.js";
 import { ContactSeries } from "../../tactiled/web/static/contact_series.js";
 import { seriesCsv } from "../../tactiled/web/static/export_csv.js";
+import { ForceTrace } from "../../tactiled/web/static/frame_history.js";
 import { Plane, cellAround } from "../../tactiled/web/static/geometry.js";
+import { HeldImage, mean } from "../../tactiled/web/static/held_image.js";
+import { measures } from "../../tactiled/web/static/measures.js";
+import { reportHtml } from "../../tactiled/web/static/report.js";
+import { backAt } from "../../tactiled/web/static/trend_chart.js";
 
 /** A message with these contacts; the force of each is 0.01 N times its id. */
 const message = (timestamp, ids, unit = "kPa") => ({
@@ -71,4 +77,81 @@ test("a click marks the restored cell that it meets, a drag beyond it none", () 
   assert.deepEqual(cellAround(plane, [[0.1, 0.9], [0.4, 0.6]]), { name: "cell r1 c1", corners: [[0, 0], [1, 1]] });
   assert.equal(cellAround(plane, [[0.1, 0.9], [0.1, 1.1]]), null);
   assert.equal(cellAround(plane, [[-5, 0], [-5, 0]]), null);
+});
+
+const NONE = () => {};
+
+test("all live charts share a time axis that is zoomed, panned, and follows the newest frame again", () => {
+  const time = new TimeWindow(NONE);
+  assert.deepEqual(time.ends(1000), [-10, 0]);
+  time.zoom(0.5);
+  assert.deepEqual([time.ends(1001), time.text], [[-20, 0], "last 20 s"]);
+  time.pan(-1);
+  assert.deepEqual([time.ends(1003), time.text], [[-42, -22], "42 to 22 s ago"]); // it stays where it is
+  time.zoom(2, 0);
+  assert.deepEqual(time.ends(1003), [-42, -32]);
+  time.zoom(1e-9);
+  assert.deepEqual([time.span, time.zoomed], [600, false]);
+  time.reset(60);
+  assert.deepEqual(time.ends(1003), [-60, 0]);
+});
+
+test("a part of an axis stays within it, and is all again where it would be more", () => {
+  const part = new AxisWindow(NONE);
+  part.limit(0, 32);
+  part.zoom(4, 0.25);
+  assert.deepEqual([part.left, part.right], [6, 14]);
+  part.pan(5);
+  assert.deepEqual([part.left, part.right], [24, 32]);
+  part.limit(0, 16); // of another axis
+  assert.deepEqual([part.left, part.right], [8, 16]);
+  part.zoom(0.1);
+  assert.deepEqual([part.zoomed, part.left, part.right], [false, 0, 16]);
+});
+
+test("forces are kept in rings, with a gap where no frame came for a while", () => {
+  const trace = new ForceTrace(4);
+  for (const time of [10, 10.5, 12, 12.5]) trace.push(time, time, 2 * time);
+  const kept = [3, 2, 1, 0].map((back) => trace.rawForces[trace.place(back)]);
+  assert.deepEqual(kept, [10.5, NaN, 12, 12.5]);
+  assert.deepEqual([9, 10.6, 12, 13].map((time) => backAt(trace, time)), [4, 3, 3, 0]);
+});
+
+/** A grid of 1 x 3, and its frame. */
+const ROW = new Plane({
+  shape: [1, 3], positions_mm: [[0, 0], [1, 0], [2, 0]], pitch_mm: 1, aperture: "square", aperture_mm: 1, raw: { rows: 1, columns: 3 },
+  restored: { rows: 1, columns: 3, cell_mm: 1 }, areas_mm2: null,
+});
+const frameOf = (timestamp, raw) => ({
+  timestamp, sequence: timestamp, raw: Float32Array.from(raw), restored: Float32Array.from(raw, (each) => 2 * each), unit: 0,
+  noise: 0.1, noiseGain: 1, ofRaw: measures(), ofRestored: measures(), flags: new Uint8Array(3),
+});
+
+test("the highest of each cell is held since a frame, the mean over the last seconds; what is unknown is neither", () => {
+  const held = new HeldImage();
+  const frames = [frameOf(1, [5, NaN, 1]), frameOf(2, [3, 4, NaN]), frameOf(3, [1, 2, 3])];
+  const history = { at: (back) => frames[frames.length - 1 - back] ?? null };
+  const of = () => held.of(frames[2], history, 0, ROW, true);
+  assert.equal(of(), frames[2]);
+  held.reset("peak");
+  for (const each of frames) held.push(each, ROW);
+  assert.deepEqual([...of().raw, of().ofRestored.peak, held.since], [5, 4, 3, 10, 1]);
+  held.reset("1");
+  assert.deepEqual([...of().raw], [1, 2, 3]);
+  held.reset("5");
+  assert.deepEqual([...of().raw], [3, 3, 2]);
+  assert.deepEqual([...mean([Float32Array.of(NaN, 1)], new Float32Array(0))], [NaN, 1]);
+});
+
+test("a report has the values of its frame, and takes no name for HTML", () => {
+  const frame = frameOf(1, [5, 4, 30]);
+  Object.assign(frame.ofRestored, { force: 0.078, peak: 60, x: 1.9, y: 0 });
+  const trace = new ForceTrace(4);
+  trace.push(1, 0.039, 0.078);
+  const html = reportHtml({
+    title: "palm <b>", frame, plane: ROW, origin: [["sensor", "a&b"]], pictures: [["Maps", "data:,"]], contacts: [],
+    regions: [["<i>heel", { force: 0.06, mean: 60, peak: 60, area: 1 }], ["toe", null]], trace,
+  });
+  for (const text of ["palm &#60;b&#62;", "a&#38;b", "<td>0.0780</td>", "<td>60.0</td>", "<td>3.00</td>", "&#60;i&#62;heel", "1.000,0.039,0.078", "<td>–</td>"]) assert.ok(html.includes(text), text);
+  assert.ok(!/<b>|<i>|https?:/.test(html));
 });

@@ -129,10 +129,22 @@ def test_panels_are_folded_enlarged_and_put_beside_the_maps_and_a_browser_keeps_
     page.get_by_role("button", name="Fold Regions").click()
     page.get_by_role("button", name="Enlarge Total force").click()
     page.refreshed()
+    page.get_by_role("button", name="Zoom out").click()
+    page.locator("#force-span", has_text="last 15 s").wait_for()
+    page.locator("#forces").hover()
+    page.mouse.wheel(0, -400)
+    page.locator("#force-span", has_text="to").wait_for()  # a part that stays where it is
+    page.mouse.dblclick(*(page.box("#forces")[each] + 100 for each in "xy"))
+    page.locator("#force-span", has_text="last 10 s").wait_for()
+    page.get_by_role("separator", name="Height of Cross-section").press("ArrowDown")
+    tall = page.box("#section")["height"]
     assert page.box("#forces")["height"] > 400
-    page.get_by_role("button", name="Put the panels beside the maps").click()
+    page.get_by_role("button", name="Panels: put them beside the maps").click()
+    page.get_by_role("separator", name="Width of the panels").press("ArrowLeft")
+    width = page.box("#side")["width"]
     for _ in range(2):
         page.refreshed(4)
+        assert (page.box("#side")["width"], page.box("#section")["height"]) == (width, tall)
         frame, side = page.box("#restored-frame"), page.box("#side")
         assert frame["x"] + frame["width"] <= side["x"]
         assert frame["width"] < below

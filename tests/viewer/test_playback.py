@@ -87,9 +87,17 @@ def test_a_recording_plays_is_sought_and_stepped_through_and_the_live_view_is_ba
     assert rig.sensor.method == "wiener"  # live it is as before
     page.press("End")
     page.wait(f"{FRAME} === '{FRAMES - 1}'")
-    page.press("<", " ")
-    page.wait("document.getElementById('pause').innerText === 'Pause'")
+    page.press("<")
+    with page.expect_download() as film:
+        page.locator("#film").click()  # plays it, from its beginning as it is at its end
+        page.wait("document.getElementById('pause').innerText === 'Pause'")
+    assert film.value.path().read_bytes()[:4] == b"\x1a\x45\xdf\xa3"  # EBML, as WebM begins
     page.wait(f"document.getElementById('pause').innerText === 'Play' && {FRAME} === '{FRAMES - 1}'")
+    with page.expect_download() as report:
+        page.locator("#save-report").click()
+    html = report.value.path().read_text()
+    assert html.count("data:image/png") == 3
+    assert "grasp.log at 0:01.0" in html
     page.press("l")
     page.wait(f"{LEVEL} === 'stale' && {FRAME} === '{rig.sequence}'")
     assert page.locator("#tare").is_visible()

@@ -50,6 +50,14 @@ def test_the_difference_has_its_own_two_sided_scale_and_an_address_keeps_the_vie
     page.get_by_label("View").select_option("both")
     page.get_by_label("Colours").select_option("magma")
     page.wait("location.hash === '#palm'")
+    page.locator("#hold").select_option("peak")
+    page.locator("#path-on").check()
+    other = page.show(rig, pressed(1))
+    page.locator("#restored-sub", has_text="highest since").wait_for()
+    colors = page.pixels("restored")[..., :3]
+    for one in (image, other):
+        row, column = np.unravel_index(one.restored.argmax(), one.restored.shape)
+        assert colors[row, column].sum() > 300
 
 
 def test_on_the_slider_raw_ends_where_restored_begins(rig, url, open_page):

@@ -64,7 +64,7 @@ class Icub(BatchCodec, ClassicSkin):
     """Time between two frames of a board that the service starts."""
     shift: Annotated[int, Bounds(0, 15)] = 2
     """Bits that the board drops from a reading: one more halves the gain and doubles the range."""
-    cdc_offset: Annotated[int, Bounds(0, 0xFFFF)] = 0x2200
+    cdc_offset: Annotated[int, Bounds(0, 0xFFFF, hexadecimal=True)] = 0x2200
     """Offset of the board's capacitance converter."""
     no_load: Annotated[int, Bounds(1, 254, "counts")] = 240
     """Counts of an unloaded taxel; the board gets them at its start."""
@@ -77,7 +77,7 @@ class Icub(BatchCodec, ClassicSkin):
         require_distinct("triangles", self.triangles)
 
     @cached_property
-    def _taxels(self) -> NDArray[np.bool_]:
+    def is_taxel(self) -> NDArray[np.bool_]:
         """Which pads (triangles, PADS) are taxels; the others are thermal."""
         taxels = np.ones((len(self.triangles), PADS), np.bool_)
         for place, triangle in enumerate(self.triangles if self.thermal_pads else ()):
@@ -89,18 +89,18 @@ class Icub(BatchCodec, ClassicSkin):
     @cached_property
     def _numbers(self) -> NDArray[np.int64]:
         """The number (triangles, PADS) of each pad among the taxels; of a thermal one, of the taxel after it."""
-        return (np.cumsum(self._taxels) - self._taxels.ravel()).reshape(-1, PADS)
+        return (np.cumsum(self.is_taxel) - self.is_taxel.ravel()).reshape(-1, PADS)
 
     @cached_property
     def positions(self) -> NDArray[np.float64]:
         """Where the taxels are (N, 2), mm: each triangle flat, side by side along x."""
         offsets = np.arange(len(self.triangles))[:, None, None] * (TRIANGLE_PITCH_MM, 0.0)
-        return np.asarray((np.array(PAD_POSITIONS) / UNITS_PER_MM + offsets)[self._taxels])
+        return np.asarray((np.array(PAD_POSITIONS) / UNITS_PER_MM + offsets)[self.is_taxel])
 
     @cached_property
     def size(self) -> int:
         """Taxels in a frame."""
-        return int(self._taxels.sum())
+        return int(self.is_taxel.sum())
 
     @cached_property
     def segments(self) -> int:
@@ -131,7 +131,7 @@ class Icub(BatchCodec, ClassicSkin):
     def span(self, segment: int) -> slice:
         """The taxels that a segment carries."""
         place, tail = divmod(segment, 2)
-        numbers, end = self._numbers[place], int(self._numbers[place, 0] + self._taxels[place].sum())
+        numbers, end = self._numbers[place], int(self._numbers[place, 0] + self.is_taxel[place].sum())
         return slice(int(numbers[HEAD_PADS]), end) if tail else slice(int(numbers[0]), int(numbers[HEAD_PADS]))
 
     @cached_property
@@ -153,7 +153,7 @@ class Icub(BatchCodec, ClassicSkin):
 
     def unpack(self, payloads: Sequence[bytes | None]) -> NDArray[np.uint16]:
         """The counts (N,) of one frame; 0 where a segment is None."""
-        return _triangles(payloads)[:, :PADS][self._taxels].astype(np.uint16)
+        return _triangles(payloads)[:, :PADS][self.is_taxel].astype(np.uint16)
 
     def references(self, payloads: Sequence[bytes | None]) -> NDArray[np.float32] | None:
         """Counts (M,) of the thermal pads of each triangle, in order; NaN where missing or bad."""
@@ -163,18 +163,18 @@ class Icub(BatchCodec, ClassicSkin):
         codes = triangles[:, PADS:].astype(int) @ (1 << 8, 1)
         bad = codes[:, None] & [_bits(pad) for pad in range(PADS)] != 0
         bad |= np.repeat(heads_and_tails, (HEAD_PADS, PADS - HEAD_PADS), axis=1)
-        return np.where(bad, np.nan, triangles[:, :PADS])[~self._taxels].astype(np.float32)
+        return np.where(bad, np.nan, triangles[:, :PADS])[~self.is_taxel].astype(np.float32)
 
     def _bad(self, place: int, data: bytes) -> tuple[int, ...]:
         """Taxels that a tail's diagnostics call out of range; all of them where the triangle does not answer."""
-        code, taxels = data[6] << 8 | data[7], np.flatnonzero(self._taxels[place]).tolist()
+        code, taxels = data[6] << 8 | data[7], np.flatnonzero(self.is_taxel[place]).tolist()
         return tuple(int(self._numbers[place, pad]) for pad in taxels if code & _bits(pad))
 
     def encode(self, counts: Counts, sequence: int, time: float) -> list[Message]:
         """The messages of one frame (N,); thermal pads have no load; the sequence number has no place in them."""
         del sequence
         pads = np.full((len(self.triangles), PADS), self.no_load, np.uint8)
-        pads[self._taxels] = self.checked(counts)
+        pads[self.is_taxel] = self.checked(counts)
         messages = []
         for triangle, data in zip(self.triangles, map(bytes, pads), strict=True):
             id_ = PERIODIC | self.board << 4 | triangle

@@ -158,7 +158,7 @@ class Settings(Skin):
 
     array_id: Annotated[int, Bounds(0, 15)] = 0
     """Number of the array: its messages have the CAN id `base_id` + `array_id`."""
-    base_id: Annotated[int, Bounds(0, 0x1FFFFFF0)] = 0x500
+    base_id: Annotated[int, Bounds(0, 0x1FFFFFF0, hexadecimal=True)] = 0x500
     """First CAN id of the layout."""
     extended: bool = False
     """Ids have 29 bits; false: 11 bits."""

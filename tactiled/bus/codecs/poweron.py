@@ -25,7 +25,7 @@ LAST_BASE_ID = 0x7F4  # twelve ids of 11 bits begin there at the latest
 class PowerOn(ClassicSkin):
     """PowerON TouchDetect: 6 x 6 taxels of 12 bits."""
 
-    base_id: Annotated[int, Bounds(0, LAST_BASE_ID)] = 0x300
+    base_id: Annotated[int, Bounds(0, LAST_BASE_ID, hexadecimal=True)] = 0x300
     """First CAN id of the skin."""
 
     size, full_scale, taxels = 36, 0xFFF, 3

@@ -39,7 +39,7 @@ PREFLIGHT = {
     "Access-Control-Max-Age": "600",
 }
 UNAUTHORIZED = f"a token is needed: {HOW}"
-UNKNOWN = f"this token is unknown: show the read_token or the control_token: {HOW}"
+UNKNOWN = f"this token is unknown, give another: {HOW}"
 READ_ONLY = "this token reads only: show the control token to change anything"
 
 
@@ -229,11 +229,11 @@ class AccessControl:
         if self._allowed_origin(headers):
             return
         if origin is not None and origin not in (f"http://{host}", f"https://{host}"):
-            raise Problem(403, f"Origin: {origin:.80}: pages of another site may not use this service")
+            raise Problem(403, f"Origin: {origin:.60}: pages of another site may not use this service")
         site = headers.get("sec-fetch-site", "none")
         link = headers.get("sec-fetch-mode") == "navigate" and scope.get("method") in SAFE_METHODS
         if site not in ("none", "same-origin") and not link:
-            raise Problem(403, f"Sec-Fetch-Site: {site:.80}: pages of another site may not use this service")
+            raise Problem(403, f"Sec-Fetch-Site: {site:.60}: pages of another site may not use this service")
 
     def _set_cookie(self, scope: Scope, token: str) -> Response:
         """Keep a token in a cookie that no script can read, and out of the address."""

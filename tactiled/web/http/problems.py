@@ -16,6 +16,7 @@ from tactiled.errors import (
     NoCalibrationError,
     NoShearError,
     NotLiveError,
+    NotPushedError,
     ReaderAnswerError,
     ReaderError,
     ReadOnlyError,
@@ -29,10 +30,11 @@ from tactiled.web import schemas
 STATUSES: dict[type[TactileError], int] = {
     ConfigError: 422, UnknownSensorError: 404, NoShearError: 404, NoCalibrationError: 404, NotLiveError: 409,
     LoadedError: 409, CalibrationStateError: 409, TareStateError: 409, ReloadError: 409, ReaderError: 503,
-    ReaderAnswerError: 502, ReadOnlyError: 403,
+    ReaderAnswerError: 502, ReadOnlyError: 403, NotPushedError: 409,
 }  # fmt: skip
 SOON = {"Retry-After": "1"}
 VERBS = ("DELETE", "GET", "PATCH", "POST", "PUT")
+ELLIPSIS = " …"
 MAX_REASON_BYTES = 123  # of a WebSocket's close frame (RFC 6455, 5.5)
 
 
@@ -55,8 +57,11 @@ def _encoded(text: str) -> bytes:
 
 
 def close_reason(reason: str) -> str:
-    """As much of a reason as a close frame holds."""
-    return _encoded(reason)[:MAX_REASON_BYTES].decode(errors="ignore")
+    """A reason, or as many of its words as a close frame holds, with an ellipsis."""
+    text = _encoded(reason)
+    if len(text) <= MAX_REASON_BYTES:
+        return text.decode()
+    return text[: MAX_REASON_BYTES - len(ELLIPSIS.encode())].decode(errors="ignore").rsplit(" ", 1)[0] + ELLIPSIS
 
 
 def refused(error: TactileError) -> Response:

@@ -2,11 +2,14 @@
 
 TCP hides a reader that has stopped behind megabytes of buffers, full of images that are old when they are read. So
 a ping follows every few messages; a client answers when it has read that far. Until then `ready` waits, before a
-stream takes the newest image.
+stream takes the newest image. A client that answered late, or has not answered yet, gets a ping after every frame,
+and the next frame after its answer.
 """
 
 import asyncio
 import sys
+import time
+from collections import deque
 from collections.abc import Callable, Sequence
 from http import HTTPStatus
 from typing import Any, cast
@@ -30,6 +33,7 @@ from tactiled.web.http.timeouts import MAX_FRAGMENTS, SHUTDOWN_S
 PING_EVERY = 4  # messages
 REQUESTED = 1 / 8  # a message that the client requested counts as so many: its next request says that it reads
 MAX_UNANSWERED = 2  # pings: at most PING_EVERY * MAX_UNANSWERED messages are on their way, and few more
+LATE_S = 0.1  # an answer after so long is late: the client is slow, or far away
 FEW_BYTES = 256  # what clients that keep up send at once: some ten messages
 MARK = b"tactiled"  # of these pings
 PING = bytes((0x80 | Opcode.PING, len(MARK) + 8)) + MARK  # the frame of such a ping, but for its number
@@ -90,9 +94,10 @@ class WebSocket(WebSocketsSansIOProtocol):
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
         self.conn.reject = _reject  # type: ignore[method-assign]
-        self._messages = 0.0
+        self._unpinged = 0.0  # messages since the newest ping
         self._pings = 0
-        self._pongs = 0
+        self._unanswered: deque[float] = deque()  # when each of the last pings was sent
+        self._quick = False  # the last answer was not late
         self._keeps_up = asyncio.Event()
         self._keeps_up.set()
         self._few_bytes = False  # came at once
@@ -137,15 +142,22 @@ class WebSocket(WebSocketsSansIOProtocol):
         await self._keeps_up.wait()
         await self.writable.wait()
 
-    def send_frames(self, frames: Sequence[bytes], requested: bool = False) -> None:
-        """Send messages, one a frame, and a ping after every few; ClientDisconnected after the end."""
+    def send_frames(self, frames: Sequence[bytes], requested: bool | None = None) -> None:
+        """Send messages, one a frame, and a ping after every few; ClientDisconnected after the end.
+
+        `requested` says whether the client requested these images; None: they are none.
+        """
         if self.disconnected or self.close_sent or self.conn.state is not OPEN:
             raise ClientDisconnected
-        self._messages += len(frames) * (REQUESTED if requested else 1)
-        if self._messages // PING_EVERY > self._pings:
-            self._pings = int(self._messages // PING_EVERY)
+        self._unpinged += len(frames) * (REQUESTED if requested else 1)
+        now, waiting = time.monotonic(), self._unanswered
+        self._quick = self._quick and not (waiting and now > waiting[0] + LATE_S)
+        strict = requested is False and not self._quick
+        if strict or self._unpinged >= PING_EVERY:
+            self._unpinged, self._pings = 0.0, self._pings + 1
+            waiting.append(now)
             frames = [*frames, PING + self._pings.to_bytes(8, "big")]
-            if self._pings - self._pongs >= MAX_UNANSWERED:
+            if strict or len(waiting) >= MAX_UNANSWERED:
                 self._keeps_up.clear()
         self.transport.writelines(frames)
 
@@ -155,8 +167,10 @@ class WebSocket(WebSocketsSansIOProtocol):
         if not data.startswith(MARK) or len(data) != len(MARK) + 8:
             super().handle_pong(event)
             return
-        self._pongs = max(self._pongs, min(int.from_bytes(data[len(MARK) :], "big"), self._pings))
-        if self._pings - self._pongs < MAX_UNANSWERED:
+        left = max(0, self._pings - int.from_bytes(data[len(MARK) :], "big"))
+        while len(self._unanswered) > left:
+            self._quick = time.monotonic() < self._unanswered.popleft() + LATE_S
+        if len(self._unanswered) < (MAX_UNANSWERED if self._quick else 1):
             self._keeps_up.set()
 
     def handle_cont(self, event: Frame) -> None:

@@ -1,5 +1,6 @@
 """The OpenAPI description: answers, and one description and one real `detail` for each status of an error."""
 
+import re
 from collections.abc import Callable, Mapping
 from http import HTTPStatus
 from typing import Any
@@ -58,6 +59,7 @@ PROBLEMS = {
         "sensor 'palm': no frame yet on can0",
     ),
 }
+SUMMARY_END = re.compile(r"(?<=[\w`)])[.:;](?:\s|$)")  # of the part of a description that heads it in /docs
 BEARER = {"type": "http", "scheme": "bearer", "description": "read_token reads, control_token changes as well"}
 JSON_BODY = (400, 408, 413, 415)
 CONTROL = (403, 429)  # what changes something
@@ -96,6 +98,8 @@ def complete(app: FastAPI, guarded: bool) -> Callable[[], Json]:
     def openapi() -> Json:
         description = fastapi_openapi()  # the same object each time
         description["components"]["schemas"]["Problem"] = schemas.Problem.model_json_schema()
+        for operation in (each for methods in description["paths"].values() for each in methods.values()):
+            operation["summary"] = SUMMARY_END.split(" ".join(operation["description"].split()), 1)[0]
         if guarded:
             description["components"]["securitySchemes"] = {"token": BEARER}
             description["security"] = [{"token": []}]

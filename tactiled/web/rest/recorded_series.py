@@ -7,6 +7,7 @@ from typing import Any, Literal
 from pydantic import BaseModel, Field
 from starlette.responses import Response, StreamingResponse
 
+from tactiled.archive import csv_table
 from tactiled.contacts.regions import TOTAL, Measures, Region
 from tactiled.restore.methods import require
 from tactiled.runtime.playback import Playback
@@ -25,7 +26,7 @@ from tactiled.web import schemas
 from tactiled.web.http.problems import SOON, Problem
 from tactiled.web.rest.dependencies import without_path
 from tactiled.web.rest.openapi import MEDIA
-from tactiled.web.rest.regions import MISSING_TAXELS, csv_headings, csv_lines, csv_values, watched
+from tactiled.web.rest.regions import MISSING_TAXELS, csv_lines, watched
 
 
 class SensorQuery(BaseModel):
@@ -145,7 +146,7 @@ def _area(name: str, k: int, summary: Summary) -> AreaSeries:
 def _csv(job: SeriesJob, rows: SeriesRows) -> Iterator[str]:
     """One line a frame; empty: not known."""
     with closing(rows.file):
-        areas, headings = (TOTAL, *job.regions), csv_headings(job.plan.unit)
+        areas, headings = (TOTAL, *job.regions), csv_table.headings(job.plan.unit)
         yield csv_lines(
             [["frame", "position_s", *(f"{area}_{each}" for area in areas for each in headings), MISSING_TAXELS]]
         )
@@ -154,5 +155,6 @@ def _csv(job: SeriesJob, rows: SeriesRows) -> Iterator[str]:
             values = some["values"].reshape(len(some), -1).tolist()
             columns = zip(some["position"].tolist(), values, some["missing"].tolist(), strict=True)
             yield csv_lines(
-                [n, f"{at:.6f}", *csv_values(row), missing] for n, (at, row, missing) in enumerate(columns, first)
+                [n, f"{at:.6f}", *csv_table.values(row), missing]
+                for n, (at, row, missing) in enumerate(columns, first)
             )

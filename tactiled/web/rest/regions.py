@@ -10,8 +10,9 @@ from fastapi import APIRouter, Path, Query, Response
 from pydantic import Field
 
 from tactiled import units
+from tactiled.archive import csv_table
 from tactiled.bounds import Syntax
-from tactiled.contacts.regions import Measures, Region, measure_units
+from tactiled.contacts.regions import Measures, Region
 from tactiled.runtime import region_monitor
 from tactiled.runtime.region_monitor import SERIES_S, RegionSeries
 from tactiled.runtime.sensor import Sensor
@@ -142,18 +143,8 @@ def series(
 
 def _csv(series: region_monitor.Series) -> str:
     """One line an image; empty: not known."""
-    rows = ([f"{at:.6f}", *csv_values(row), missing] for at, row, missing in zip(*series[:3], strict=True))
-    return csv_lines([["time_s", *csv_headings(series.unit), MISSING_TAXELS], *rows])
-
-
-def csv_headings(unit: units.Unit) -> list[str]:
-    """Measures with their units, as headings of a CSV."""
-    return [f"{name}_{each.replace(' ', '_')}" for name, each in measure_units(unit).items()]
-
-
-def csv_values(values: Iterable[float]) -> list[str]:
-    """Values as a CSV has them; NaN, not known, is empty."""
-    return ["" if each != each else f"{each:.6g}" for each in values]
+    rows = ([f"{at:.6f}", *csv_table.values(row), missing] for at, row, missing in zip(*series[:3], strict=True))
+    return csv_lines([["time_s", *csv_table.headings(series.unit), MISSING_TAXELS], *rows])
 
 
 def csv_lines(rows: Iterable[list[Any]]) -> str:

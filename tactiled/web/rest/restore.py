@@ -104,7 +104,7 @@ class RestoreQuery(BaseModel):
 async def restore(
     request: Request, service: CurrentService, query: Annotated[RestoreQuery, Query()]
 ) -> FileResponse:
-    """Restore frames, `.npy` of (T, rows, columns) or (T, taxels), NaN: unknown, with the sensor's kernel.
+    """Restore frames: `.npy` of (T, rows, columns) or (T, taxels), NaN: unknown, with the sensor's kernel.
 
     Frames and images are in the sensor's `unit`. The headers of the answer give the noise
     and the number of frames for each method.

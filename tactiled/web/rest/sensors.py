@@ -4,11 +4,14 @@ from typing import Annotated
 
 from fastapi import APIRouter, Query, Request
 
+from tactiled.errors import BusError
 from tactiled.runtime.tare_frames import TARE_FRAMES, TARE_S
 from tactiled.web import answers, calibration_schemas, schemas
+from tactiled.web.http.problems import SOON, Problem
 from tactiled.web.rest import drawing
 from tactiled.web.rest.dependencies import AnySensor, CurrentService, NamedSensor, keeping, no_frame
 from tactiled.web.rest.openapi import CONTROL, JSON_BODY, problems
+from tactiled.web.ws.push import as_array
 
 router = APIRouter(prefix="/api/v1")
 
@@ -98,6 +101,24 @@ def undo_tare(
 def taxel_health(sensor: NamedSensor) -> calibration_schemas.TaxelHealth:
     """Taxels found not to work, noise and drift of every taxel, and creep of the load that lies now."""
     return answers.taxel_health(sensor)
+
+
+@router.post(
+    "/sensors/{name}/frames",
+    tags=["frames"],
+    status_code=202,
+    responses=problems(404, 409, 503, *CONTROL, *JSON_BODY),
+)
+def push(sensor: NamedSensor, service: CurrentService, frame: schemas.PushedFrame) -> schemas.PushedNumber:
+    """Push a frame into a sensor that is configured without `bus` and `codec`.
+
+    For more than a few frames a second use `WS /api/v1/sensors/{name}/push`: here every frame counts as a change.
+    """
+    try:
+        number = service.push(sensor.name, as_array(frame.values), frame.sequence, frame.time)
+    except BusError as error:
+        raise Problem(503, f"sensor {sensor.name!r}: {error}", SOON) from error
+    return schemas.PushedNumber(sequence=number)
 
 
 @router.get("/sensors/{name}/contacts", tags=["frames"], responses=problems(404, 503))

@@ -9,7 +9,7 @@ import { Heatmap } from "./heatmap.js";
 import { messageOf } from "./notice.js";
 import { tare, undoTare } from "./tare.js";
 import { withToken } from "./token_dialog.js";
-import { UNITS, readingText } from "./units.js";
+import { UNITS, pressureText } from "./units.js";
 
 /** @import { CalibrationSession, Way } from "./api.js" */
 /** @import { Step } from "./calibration_text.js" */
@@ -369,7 +369,7 @@ export class CalibrationPage {
     const { ofRaw, raw, unit, noise, timestamp } = session.frame;
     this._ranges[unit].follow(ofRaw.peak || 0, noise || 0, timestamp);
     this._heatmap.paint(raw, this._ranges[unit], colormap);
-    setText(byId("calibrate-peak"), `peak ${readingText(ofRaw.peak, unit)}`);
+    setText(byId("calibrate-peak"), `peak ${pressureText(ofRaw.peak, unit)}`);
   }
 }
 

@@ -71,10 +71,10 @@ export function gappedLine(time, values, maxGap, ink, dash = SOLID) {
  * @property {boolean} [decades] bottom and top are powers of ten, and so are the values
  */
 
-const LEFT_PX = 46;
+export const PLOT_LEFT_PX = 46; // CSS px, beside the lines
+export const PLOT_RIGHT_PX = 12;
 const TOP_PX = 20;
 const BOTTOM_PX = 34;
-const RIGHT_PX = 12;
 const SUBPIXELS = 16; // units of lines in a CSS px: whole, as any other number handed to the browser may be an object
 const DASHES = [6 * SUBPIXELS, 4 * SUBPIXELS]; // of the raw line, where colours are few
 const OFFSCREEN = 2 ** 24; // of such units, out of sight
@@ -118,9 +118,9 @@ export class Chart {
     const { canvas } = this;
     const width = canvas.clientWidth;
     const height = canvas.clientHeight;
-    if (width < LEFT_PX + RIGHT_PX + 10 || height < TOP_PX + BOTTOM_PX + 10) return;
+    if (width < PLOT_LEFT_PX + PLOT_RIGHT_PX + 10 || height < TOP_PX + BOTTOM_PX + 10) return;
     const ratio = fitCanvas(canvas, width, height);
-    this._w = width - LEFT_PX - RIGHT_PX;
+    this._w = width - PLOT_LEFT_PX - PLOT_RIGHT_PX;
     this._h = height - TOP_PX - BOTTOM_PX;
     this._sx = this._w / (axes.right - axes.left);
     this._sy = this._h / (axes.top - axes.bottom);
@@ -129,10 +129,10 @@ export class Chart {
     this.clear();
     draw.drawImage(this._axesContext.canvas, 0, 0);
     draw.setTransform(ratio, 0, 0, ratio, 0, 0);
-    if (cursor >= axes.left && cursor <= axes.right) this._cursor(LEFT_PX + (cursor - axes.left) * this._sx, cursorText);
+    if (cursor >= axes.left && cursor <= axes.right) this._cursor(PLOT_LEFT_PX + (cursor - axes.left) * this._sx, cursorText);
     draw.save();
     draw.beginPath();
-    draw.rect(LEFT_PX, TOP_PX - 2, this._w, this._h + 4);
+    draw.rect(PLOT_LEFT_PX, TOP_PX - 2, this._w, this._h + 4);
     draw.clip();
     draw.scale(1 / SUBPIXELS, 1 / SUBPIXELS);
     for (let k = 0; k < lines.length; k += 1) this._band(lines[k], axes);
@@ -153,7 +153,7 @@ export class Chart {
     draw.stroke();
     draw.setLineDash([]);
     if (!text) return;
-    const right = x + 6 + draw.measureText(text).width > LEFT_PX + this._w;
+    const right = x + 6 + draw.measureText(text).width > PLOT_LEFT_PX + this._w;
     draw.textAlign = right ? "right" : "left";
     draw.textBaseline = "top";
     draw.fillText(text, x + (right ? -6 : 6), TOP_PX + 2);
@@ -190,14 +190,14 @@ export class Chart {
     draw.beginPath();
     for (const { value, text } of axes.decades ? decadeTicks(bottom, top) : labelledTicks(bottom, top, h / 28)) {
       const y = Math.round(TOP_PX + h - (value - bottom) * this._sy) + 0.5;
-      draw.moveTo(LEFT_PX, y);
-      draw.lineTo(LEFT_PX + w, y);
-      draw.fillText(text, LEFT_PX - 6, y);
+      draw.moveTo(PLOT_LEFT_PX, y);
+      draw.lineTo(PLOT_LEFT_PX + w, y);
+      draw.fillText(text, PLOT_LEFT_PX - 6, y);
     }
     draw.textBaseline = "top";
     draw.textAlign = "center";
     for (const { value, text } of labelledTicks(axes.left, axes.right, w / 60)) {
-      const x = Math.round(LEFT_PX + (value - axes.left) * this._sx) + 0.5;
+      const x = Math.round(PLOT_LEFT_PX + (value - axes.left) * this._sx) + 0.5;
       draw.moveTo(x, TOP_PX + h);
       draw.lineTo(x, TOP_PX + h + 4);
       draw.fillText(text, x, TOP_PX + h + 6);
@@ -205,7 +205,7 @@ export class Chart {
     draw.stroke();
     draw.textAlign = "right";
     draw.textBaseline = "bottom";
-    draw.fillText(axes.x, LEFT_PX + w, TOP_PX + h + BOTTOM_PX);
+    draw.fillText(axes.x, PLOT_LEFT_PX + w, TOP_PX + h + BOTTOM_PX);
     draw.textAlign = "left";
     draw.textBaseline = "top";
     draw.fillText(axes.y, 0, 0);
@@ -224,7 +224,7 @@ export class Chart {
     draw.globalAlpha = 0.28;
     draw.beginPath();
     for (let i = 0; i < of.length; i += 1) {
-      const x = toInt(SUBPIXELS * LEFT_PX + (of.x[i] - axes.left) * sx);
+      const x = toInt(SUBPIXELS * PLOT_LEFT_PX + (of.x[i] - axes.left) * sx);
       const y = toInt(floor - (of.y[i] + spread[i]) * sy);
       const tall = 2 * spread[i] * sy;
       if (wide && tall === tall) draw.rect(x - wide, y, 2 * wide, toInt(tall));
@@ -252,7 +252,7 @@ export class Chart {
         down = false;
         continue;
       }
-      const x = toInt(SUBPIXELS * LEFT_PX + (of.x[at] - from) * sx);
+      const x = toInt(SUBPIXELS * PLOT_LEFT_PX + (of.x[at] - from) * sx);
       const y = toInt(floor - (value - axes.bottom) * sy);
       if (down) draw.lineTo(x - half, y);
       else draw.moveTo(x - half, y);
@@ -273,7 +273,7 @@ export class Chart {
     for (let i = 0; i < of.length; i += 1) {
       if (of.y[i] !== of.y[i]) continue;
       draw.beginPath();
-      const x = toInt(SUBPIXELS * LEFT_PX + (of.x[i] - axes.left) * sx);
+      const x = toInt(SUBPIXELS * PLOT_LEFT_PX + (of.x[i] - axes.left) * sx);
       draw.arc(x, toInt(floor - (of.y[i] - axes.bottom) * sy), 3 * SUBPIXELS, 0, 2 * Math.PI);
       draw.fill();
     }

@@ -4,13 +4,75 @@
  * @module
  */
 
+import { FORCE_SCALES } from "./units.js";
+
 /** @import { Frame } from "./frame_history.js" */
 /** @import { Plane } from "./geometry.js" */
 /** @import { Contact } from "./sensor_stream.js" */
 
+/** @typedef {{force: number, x: number, y: number, near: Set<number>}} Part cells that hang together; `near` are contacts, by their number */
+
 const CLEAR_DEVIATIONS = 5; // of the noise from which a cell is pressed, and
 const PEAK_SHARE = 0.1; // of its contact's peak: as the service's contacts have it
 const WITHIN_DEVIATIONS = 3; // of its pressure, from a contact's centre to cells that are its own
+const SAME_PITCHES = 2; // between the centres of a contact and of cells that hang together, where they are the same
+const SAME_RATIO = 1.5; // of their forces
+const SHAPE = 6; // numbers of a contact's shape
+const MIN_AXIS_MM = 0.1;
+
+/** @param {Contact} contact @param {Float64Array} shapes @param {number} n its number in them */
+function shape({ x_mm, y_mm, major_mm, minor_mm, angle_rad }, shapes, n) {
+  const major = Math.max(major_mm, MIN_AXIS_MM);
+  const minor = Math.max(minor_mm, MIN_AXIS_MM);
+  const at = SHAPE * n;
+  shapes[at] = x_mm;
+  shapes[at + 1] = y_mm;
+  shapes[at + 2] = Math.cos(angle_rad) / major;
+  shapes[at + 3] = Math.sin(angle_rad) / major;
+  shapes[at + 4] = Math.cos(angle_rad) / minor;
+  shapes[at + 5] = Math.sin(angle_rad) / minor;
+}
+
+/** @param {Float64Array} shapes @param {number} n of a contact @param {number} x mm @param {number} y mm @returns {number} standard deviations of its pressure from its centre */
+function distance(shapes, n, x, y) {
+  const at = SHAPE * n;
+  const dx = x - shapes[at];
+  const dy = y - shapes[at + 1];
+  const along = dx * shapes[at + 2] + dy * shapes[at + 3];
+  const across = dy * shapes[at + 4] - dx * shapes[at + 5];
+  return Math.sqrt(along * along + across * across);
+}
+
+/** @param {Float64Array} shapes @param {number} x mm @param {number} y mm @param {Set<number>|null} of these contacts; null: of all @returns {number} */
+function nearest(shapes, x, y, of) {
+  let best = 0;
+  let least = Infinity;
+  for (let n = 0; n < shapes.length / SHAPE; n += 1) {
+    if (of && !of.has(n)) continue;
+    const far = distance(shapes, n, x, y);
+    if (far >= least) continue;
+    best = n;
+    least = far;
+  }
+  return best;
+}
+
+/** @param {Part[]} parts @param {Contact[]} contacts @param {number} pitch mm @returns {number[]} by part, the contact that it is; -1 for none */
+function match(parts, contacts, pitch) {
+  const pairs = parts.flatMap((part, p) => contacts.map((each, n) => {
+    const apart = Math.hypot(part.x - each.x_mm, part.y - each.y_mm) / pitch;
+    const ratio = Math.abs(Math.log(part.force / each.force));
+    return { p, n, apart, ratio };
+  })).filter(({ apart, ratio }) => apart <= SAME_PITCHES && ratio <= Math.log(SAME_RATIO));
+  const owned = parts.map(() => -1);
+  const taken = new Set();
+  for (const { p, n } of pairs.sort((a, b) => a.apart + a.ratio - b.apart - b.ratio)) {
+    if (owned[p] >= 0 || taken.has(n)) continue;
+    owned[p] = n;
+    taken.add(n);
+  }
+  return owned;
+}
 
 export class ContactOutline {
   constructor() {
@@ -29,7 +91,9 @@ export class ContactOutline {
     this.centres = new Float32Array(0);
     this._weights = new Float32Array(0);
     this._owners = new Uint8Array(0);
+    this._parts = new Uint16Array(0);
     this._queue = new Uint32Array(0);
+    this._shapes = new Float64Array(0); // of contacts: centre, mm, and what makes standard deviations of an offset
     this._sequence = -1;
     /** @type {Contact[]|null} */
     this._contacts = null;
@@ -40,8 +104,9 @@ export class ContactOutline {
    * @param {Frame} frame
    * @param {Plane} plane
    * @param {Contact[]|null} contacts of this frame, or of one near it
+   * @param {number} [marked] how many of them have an outline
    */
-  update(frame, plane, contacts) {
+  update(frame, plane, contacts, marked = Infinity) {
     if (contacts === this._contacts && frame.sequence === this._sequence) return;
     this._contacts = contacts;
     this._sequence = frame.sequence;
@@ -53,6 +118,7 @@ export class ContactOutline {
       this.extents = new Uint16Array(4 * n);
       this.centres = new Float32Array(2 * n);
       this._weights = new Float32Array(n);
+      this._shapes = new Float64Array(SHAPE * n);
     }
     for (const each of [this.cells, this.outlined, this.extents, this.centres, this._weights]) each.fill(0);
     if (!contacts || !n) return;
@@ -60,15 +126,16 @@ export class ContactOutline {
     this.side = side;
     if (this._owners.length !== count) {
       this._owners = new Uint8Array(count);
+      this._parts = new Uint16Array(count);
       this._queue = new Uint32Array(count);
       this.edges = new Uint16Array(16 * count);
     }
     this._owners.fill(0);
     const noise = CLEAR_DEVIATIONS * (frame.noise || 0) * (frame.noiseGain || 1);
-    for (let i = n; i > 0; i -= 1) this._claim(frame.restored, plane, contacts[i - 1], i, noise);
-    if (plane.isGrid) this._grow(frame.restored, contacts, rows, columns, noise);
+    if (plane.isGrid) this._own(frame, plane, contacts.slice(0, n), noise);
+    else for (let i = n; i > 0; i -= 1) this._claim(frame.restored, plane, contacts[i - 1], i, noise);
     this._centre(frame.restored, plane);
-    if (plane.isGrid) this._findEdges(rows, columns);
+    if (plane.isGrid) this._findEdges(rows, columns, marked);
   }
 
   /**
@@ -94,28 +161,63 @@ export class ContactOutline {
   }
 
   /**
-   * Give each contact the pressed cells beside its own, as it may have moved or turned.
-   * @param {Float32Array} values
+   * Give the cells that hang together to the contact that has their force and place; the others to the nearest of the
+   * contacts that are left, as each may have moved or turned.
+   * @param {Frame} frame
+   * @param {Plane} plane
    * @param {Contact[]} contacts
-   * @param {number} rows
-   * @param {number} columns
    * @param {number} floor pressure that a cell exceeds
    */
-  _grow(values, contacts, rows, columns, floor) {
-    const { _owners: owners, _queue: queue } = this;
-    let end = 0;
-    for (let i = 0; i < owners.length; i += 1) if (owners[i]) queue[end++] = i;
-    for (let at = 0; at < end; at += 1) {
-      const i = queue[at];
-      const column = i % columns;
-      const least = Math.max(floor, PEAK_SHARE * contacts[owners[i] - 1].peak);
-      for (let side = 0; side < 4; side += 1) {
-        const beside = i + (side === 0 ? -columns : side === 1 ? columns : side === 2 ? -1 : 1);
-        if (beside < 0 || beside >= rows * columns || (side === 2 && !column) || (side === 3 && column === columns - 1)) continue;
-        if (owners[beside] || !(values[beside] > least)) continue;
-        owners[beside] = owners[i];
-        queue[end++] = beside;
+  _own({ restored: values, unit = 0 }, { restored: { x, y, count, rows, columns, area }, pitch }, contacts, floor) {
+    const { _owners: owners, _parts: parts, _queue: queue, _shapes: shapes } = this;
+    parts.fill(0);
+    contacts.forEach((each, n) => shape(each, shapes, n));
+    for (let i = 0; i < count; i += 1) {
+      if (!(values[i] > floor)) continue;
+      const near = nearest(shapes, x[i], y[i], null);
+      if (values[i] > PEAK_SHARE * contacts[near].peak) owners[i] = near + 1;
+    }
+    /** @type {Part[]} */
+    const found = [];
+    for (let first = 0; first < count; first += 1) {
+      if (!owners[first] || parts[first]) continue;
+      const part = { force: 0, x: 0, y: 0, near: new Set() };
+      found.push(part);
+      parts[first] = found.length;
+      queue[0] = first;
+      for (let at = 0, end = 1; at < end; at += 1) {
+        const i = queue[at];
+        const force = values[i] * area[i] * FORCE_SCALES[unit];
+        part.force += force;
+        part.x += force * x[i];
+        part.y += force * y[i];
+        const column = i % columns;
+        const row = (i - column) / columns;
+        for (let r = Math.max(0, row - 1); r <= Math.min(rows - 1, row + 1); r += 1) {
+          for (let c = Math.max(0, column - 1); c <= Math.min(columns - 1, column + 1); c += 1) {
+            const beside = r * columns + c;
+            if (!owners[beside] || parts[beside]) continue;
+            parts[beside] = found.length;
+            queue[end++] = beside;
+          }
+        }
       }
+      part.x /= part.force;
+      part.y /= part.force;
+    }
+    const owned = match(found, contacts, pitch);
+    const left = new Set(contacts.keys());
+    for (const each of owned) left.delete(each);
+    for (let i = 0; i < count; i += 1) {
+      if (!owners[i] || owned[parts[i] - 1] >= 0 || !left.size) continue;
+      const near = nearest(shapes, x[i], y[i], left);
+      if (distance(shapes, near, x[i], y[i]) <= WITHIN_DEVIATIONS) found[parts[i] - 1].near.add(near);
+    }
+    for (let i = 0; i < count; i += 1) {
+      if (!owners[i]) continue;
+      const part = parts[i] - 1;
+      const { near } = found[part];
+      owners[i] = owned[part] >= 0 ? owned[part] + 1 : near.size ? nearest(shapes, x[i], y[i], near) + 1 : 0;
     }
   }
 
@@ -137,14 +239,14 @@ export class ContactOutline {
     }
   }
 
-  /** @param {number} rows @param {number} columns */
-  _findEdges(rows, columns) {
+  /** @param {number} rows @param {number} columns @param {number} marked how many contacts have an outline */
+  _findEdges(rows, columns, marked) {
     const { _owners: owners } = this;
     for (let row = 0; row < rows; row += 1) {
       for (let column = 0; column < columns; column += 1) {
         const i = row * columns + column;
         const owner = owners[i];
-        if (!owner) continue;
+        if (!owner || owner > marked) continue;
         this._extend(owner - 1, row, column);
         if (!row || owners[i - columns] !== owner) this._edge(column, row, column + 1, row);
         if (row === rows - 1 || owners[i + columns] !== owner) this._edge(column, row + 1, column + 1, row + 1);

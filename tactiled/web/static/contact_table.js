@@ -1,7 +1,7 @@
 /** The contacts as a table: what the outlines on the maps say, in numbers. @module */
 
 import { element, setText } from "./dom.js";
-import { fixed } from "./format.js";
+import { fixed, number } from "./format.js";
 import { forceNumber } from "./units.js";
 
 /** @import { Contact } from "./sensor_stream.js" */
@@ -65,8 +65,8 @@ function fillRow(cells, contact, unit, charted) {
   button.disabled = !charted;
   button.setAttribute("aria-pressed", String(charted?.has(`contact ${contact.id}`) ?? false));
   setText(cells[1], forceNumber(contact.force, unit));
-  setText(cells[2], fixed(contact.peak, 0));
-  setText(cells[3], fixed(contact.area_mm2, 0));
+  setText(cells[2], number(contact.peak));
+  setText(cells[3], number(contact.area_mm2));
   setText(cells[4], fixed(contact.x_mm, 1));
   setText(cells[5], fixed(contact.y_mm, 1));
 }

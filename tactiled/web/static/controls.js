@@ -1,10 +1,11 @@
 /** Buttons, fields and keys. @module */
 
 import * as api from "./api.js";
-import { byId, drawnFiner, setText } from "./dom.js";
+import { byId, context2d, drawnFiner, setText, themeColors } from "./dom.js";
 import { download } from "./download.js";
 import { csvText } from "./export_csv.js";
-import { PICTURE_RATIO, savePng } from "./export_png.js";
+import { PICTURE_RATIO, picture } from "./export_png.js";
+import { Film } from "./film.js";
 import { positionText } from "./format.js";
 import { ACROSS } from "./geometry.js";
 import { listenForKeys } from "./keyboard.js";
@@ -12,15 +13,19 @@ import { notice } from "./notice.js";
 import { PlaybackSession } from "./playback_session.js";
 import { provenance } from "./provenance.js";
 import { methodTitle } from "./readings.js";
+import { reportHtml } from "./report.js";
 import { saveSetting } from "./storage.js";
 import { tare, undoTare } from "./tare.js";
 import { timeOffset } from "./timeline.js";
 import { withToken } from "./token_dialog.js";
 
 /** @import { CalibrationPage } from "./calibration_page.js" */
+/** @import { Colormap } from "./colormap.js" */
+/** @import { Frame } from "./frame_history.js" */
 /** @import { PageText } from "./page_text.js" */
 /** @import { PlaybackPage } from "./playback_page.js" */
 /** @import { Recorder } from "./recorder.js" */
+/** @import { Session } from "./session.js" */
 /** @import { Viewer } from "./viewer.js" */
 
 /**
@@ -38,6 +43,8 @@ import { withToken } from "./token_dialog.js";
 
 export const CONTACTS_KEY = "tactiled.contacts"; // whether they are shown
 
+const CHARTS = ["section", "forces", "plot-chart"]; // of a report
+
 const picker = /** @type {HTMLSelectElement} */ (byId("method"));
 const help = /** @type {HTMLDialogElement} */ (byId("help"));
 
@@ -46,6 +53,7 @@ export function controls(viewer, targets) {
   buttons(viewer, targets);
   range(viewer, targets);
   keyboard(viewer, targets);
+  filming(viewer, targets);
   picker.addEventListener("change", () => chooseMethod(viewer));
 }
 
@@ -58,12 +66,21 @@ function buttons(viewer, targets) {
   press("pause", () => viewer.pause(!viewer.session?.paused));
   press("back", () => viewer.step(-1));
   press("forward", () => viewer.step(1));
+  const hold = /** @type {HTMLSelectElement} */ (byId("hold"));
+  const path = /** @type {HTMLInputElement} */ (byId("path-on"));
+  hold.addEventListener("change", () => viewer.hold(/** @type {import("./held_image.js").Held} */ (hold.value)));
+  press("hold-reset", () => viewer.hold("peak"));
+  path.addEventListener("change", () => {
+    viewer.path = path.checked;
+    viewer.refresh();
+  });
   press("section-turn", () => turn(viewer));
   press("tare", () => tare(viewer.name));
   press("tare-undo", () => undoTare(viewer.name));
   press("calibrate-open", () => targets.calibration.open());
   press("save-png", () => save("png", viewer, targets));
   press("save-csv", () => save("csv", viewer, targets));
+  press("save-report", () => save("html", viewer, targets));
   press("copy-link", copyLink);
   press("help-open", showHelp);
   press("help-close", () => help.close());
@@ -139,32 +156,109 @@ async function chooseMethod(viewer) {
   else picker.value = viewer.session?.status?.method ?? picker.value;
 }
 
-/** @param {"png"|"csv"} kind @param {Viewer} viewer @param {Targets} targets */
-function save(kind, viewer, targets) {
-  viewer.paintNow();
-  const { session, view: { colormap } } = viewer;
-  if (!session?.frame || !colormap) {
+/**
+ * What can be saved of what is seen.
+ * @typedef {object} Seen
+ * @property {Session|PlaybackSession} session
+ * @property {Frame} frame
+ * @property {Colormap} colormap
+ * @property {string} state
+ */
+
+/** @param {Viewer} viewer @param {Targets} targets @returns {Seen|null} null, and a notice, where nothing is seen */
+function seen(viewer, targets) {
+  const { session, frame, view: { colormap } } = viewer;
+  if (!session || !frame || !colormap) {
     notice(viewer.name ? "There is no frame to save yet." : "To save a frame, choose one sensor.", true);
-    return;
+    return null;
   }
-  const { name, plane, frame, statusOfFrame } = session;
   const { level } = targets.screen;
   const recorded = session instanceof PlaybackSession ? `${session.recorded.name} at ${positionText(session.position)}` : "";
   const still = level === "live" ? "paused" : `paused, ${level}`;
-  const state = recorded || (session.paused ? still : level);
+  const moment = recorded || (session.paused ? still : level);
+  return { session, frame, colormap, state: viewer.held.text ? `${moment}, ${viewer.held.text}` : moment };
+}
+
+/** @param {Seen} of @param {Viewer} viewer @returns {[string, string][]} what is said of the picture */
+function originOf({ session, frame, state }, { contactsOfFrame }) {
+  const offset = contactsOfFrame?.contacts.length ? timeOffset(contactsOfFrame, frame) : "";
+  return provenance(session.name, frame, session.statusOfFrame, state + (offset && `, contacts from ${offset}`));
+}
+
+/** @param {Seen} of @param {Viewer} viewer @returns {HTMLCanvasElement} at twice the size */
+function finePicture(of, viewer) {
+  const { session, frame, colormap } = of;
+  /** @type {HTMLCanvasElement|null} */
+  let drawn = null;
+  drawnFiner(PICTURE_RATIO, () => {
+    viewer.paintMaps(frame, colormap);
+    drawn = picture(session, frame, viewer, colormap, originOf(of, viewer));
+  });
+  viewer.paintMaps(frame, colormap);
+  return /** @type {any} */ (drawn);
+}
+
+/** @param {"png"|"csv"|"html"} kind @param {Viewer} viewer @param {Targets} targets */
+function save(kind, viewer, targets) {
+  viewer.paintNow();
+  const of = seen(viewer, targets);
+  if (!of) return;
+  const { session: { name, plane, statusOfFrame }, frame, state } = of;
   if (kind === "csv") {
     const text = csvText(plane, frame, provenance(name, frame, statusOfFrame, state));
     download(name, frame, "csv", new Blob([text], { type: "text/csv" }));
-    return;
-  }
-  const { contactsOfFrame } = viewer;
-  const offset = contactsOfFrame?.contacts.length ? timeOffset(contactsOfFrame, frame) : "";
-  const origin = provenance(name, frame, statusOfFrame, state + (offset && `, contacts from ${offset}`));
-  drawnFiner(PICTURE_RATIO, () => {
-    viewer.paintMaps(frame, colormap);
-    savePng(session, frame, viewer, colormap, origin);
+  } else if (kind === "png") finePicture(of, viewer).toBlob((blob) => blob && download(name, frame, "png", blob), "image/png");
+  else download(name, frame, "html", new Blob([report(of, viewer)], { type: "text/html" }));
+}
+
+/** @param {Seen} of @param {Viewer} viewer @returns {string} a page of HTML */
+function report(of, viewer) {
+  const { session, frame } = of;
+  const charts = CHARTS.map((id) => /** @type {HTMLCanvasElement} */ (byId(id))).filter((each) => each.offsetParent && !viewer.held.text);
+  return reportHtml({
+    title: `${session.name}, frame ${frame.sequence}`,
+    frame,
+    plane: session.plane,
+    origin: originOf(of, viewer),
+    pictures: [["Maps", finePicture(of, viewer).toDataURL()], ...charts.map((each) => /** @type {[string, string]} */ ([each.ariaLabel ?? "", onPanel(each)]))],
+    contacts: viewer.contactsOfFrame?.contacts ?? [],
+    regions: viewer.regions?.measured() ?? [],
+    trace: session instanceof PlaybackSession ? null : session.history.trace,
   });
-  viewer.paintMaps(frame, colormap);
+}
+
+/** @param {HTMLCanvasElement} chart @returns {string} the address of its picture on the ground that it has on the page */
+function onPanel(chart) {
+  const copy = document.createElement("canvas");
+  const margin = 10 * (window.devicePixelRatio || 1);
+  copy.width = chart.width + 2 * margin;
+  copy.height = chart.height + 2 * margin;
+  const pen = context2d(copy);
+  pen.fillStyle = themeColors().panel;
+  pen.fillRect(0, 0, copy.width, copy.height);
+  pen.drawImage(chart, margin, margin);
+  return copy.toDataURL();
+}
+
+/** Run the button for films. @param {Viewer} viewer @param {Targets} targets */
+function filming(viewer, targets) {
+  let last = 0; // number of the frame of the recording that was taken last
+  const film = new Film(() => {
+    const of = seen(viewer, targets);
+    return of && { sensor: of.session.name, frame: of.frame, picture: picture(of.session, of.frame, viewer, of.colormap, originOf(of, viewer), 1) };
+  });
+  byId("film").addEventListener("click", () => {
+    if (film.runs) film.end();
+    else if (film.begin() && viewer.session instanceof PlaybackSession && viewer.session.paused) viewer.pause(false);
+    last = -1;
+  });
+  viewer.onPainted = (now) => {
+    film.painted(now);
+    const { session } = viewer;
+    if (!film.runs || !(session instanceof PlaybackSession)) return;
+    if (session.number < last || (session.paused && session.back === 0)) film.end();
+    last = session.number;
+  };
 }
 
 /** Move the pinned probe by cells. @param {Viewer} viewer @param {number} dx @param {number} dy @returns {boolean} one is pinned */

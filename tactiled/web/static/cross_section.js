@@ -6,6 +6,7 @@ import { UNITS } from "./units.js";
 import { ACROSS } from "./geometry.js";
 
 /** @import { Axes, Line } from "./chart.js" */
+/** @import { AxisWindow } from "./chart_window.js" */
 /** @import { DisplayRange } from "./display_range.js" */
 /** @import { Frame } from "./frame_history.js" */
 /** @import { Cells, Plane } from "./geometry.js" */
@@ -19,9 +20,10 @@ const LINE_STAYS = 0.85; // of the peak that the line must still reach where it 
 const DEEP_FRAMES = 180; // frames for which that stays, so that the axis does not jump
 
 export class CrossSection {
-  /** @param {HTMLCanvasElement} canvas */
-  constructor(canvas) {
+  /** @param {HTMLCanvasElement} canvas @param {AxisWindow} part of the axis that is shown */
+  constructor(canvas, part) {
     this.chart = new Chart(canvas);
+    this._part = part;
     /** @type {Plane|null} */
     this._plane = null;
     this._deep = 0; // frames for which the axis still reaches deep
@@ -54,8 +56,9 @@ export class CrossSection {
     if (!plane) return;
     const { along } = marks;
     const span = range.high - range.low;
-    this._axes.left = plane.start(along);
-    this._axes.right = plane.start(along) + plane.extent(along);
+    this._part.limit(plane.start(along), plane.start(along) + plane.extent(along));
+    this._axes.left = this._part.left;
+    this._axes.right = this._part.right;
     this._axes.x = AXES[along];
     this._axes.y = UNITS[unit];
     this._axes.top = range.high;

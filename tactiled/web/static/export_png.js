@@ -2,7 +2,6 @@
 
 import { ABOVE, BELOW } from "./colormap.js";
 import { context2d, themeColors } from "./dom.js";
-import { download } from "./download.js";
 import { fixed } from "./format.js";
 import { AXIS_BOTTOM_PX, AXIS_LEFT_PX, drawAxes } from "./map_axes.js";
 import { endsAndTicks, tickText } from "./ticks.js";
@@ -32,14 +31,16 @@ const TICK_GAP_PX = 44; // px between two of its ticks
 const [TITLE_PX, TEXT_PX] = [19, 15]; // px, of letters
 
 /**
- * Save what is seen of the maps with their legend and readings; of 3-D surfaces the flat maps.
+ * Draw what is seen of the maps with their legend and readings; of 3-D surfaces the flat maps.
  * @param {Pick<Session, "name"|"plane">} session
  * @param {Frame} frame
  * @param {Pick<Viewer, "maps"|"view"|"range"|"shear">} viewer
  * @param {Colormap} colormap
  * @param {[string, string][]} origin name and value of what is said of the frame; the first two are its title
+ * @param {number} [ratio] pixels per px
+ * @returns {HTMLCanvasElement}
  */
-export function savePng({ name, plane }, frame, { maps, view, range, shear }, colormap, origin) {
+export function picture({ name, plane }, frame, { maps, view, range, shear }, colormap, origin, ratio = PICTURE_RATIO) {
   const zoom = MAP_PX / Math.max(plane.width, plane.height);
   const w = Math.round(plane.width * zoom);
   const h = Math.round(plane.height * zoom);
@@ -56,7 +57,7 @@ export function savePng({ name, plane }, frame, { maps, view, range, shear }, co
   const lines = wrap([...said, size].join(", "), width, TEXT_PX);
   const arrows = shear && frame.sheared && shown.some(({ frames }) => frames.includes(maps.raw.frame));
   const height = TOP_PX + bodyHeight + AXIS_BOTTOM_PX + BOTTOM_PX + LINE_PX * (lines.length + (arrows ? 1 : 0));
-  const sheet = new Sheet(2 * MARGIN_PX + width, height, bodyHeight);
+  const sheet = new Sheet(2 * MARGIN_PX + width, height, bodyHeight, ratio);
   sheet.write(title, MARGIN_PX, 32, TITLE_PX);
   const left = MARGIN_PX + AXIS_LEFT_PX;
   shown.forEach((each, i) => sheet.map(each, left + i * step, w, h, plane, view.cut, below[i]));
@@ -64,7 +65,7 @@ export function savePng({ name, plane }, frame, { maps, view, range, shear }, co
   lines.forEach((each, at) => sheet.write(each, MARGIN_PX, foot + LINE_PX * at, TEXT_PX, sheet.ink.muted));
   if (arrows) sheet.arrow(maps.arrows, MARGIN_PX, foot + LINE_PX * lines.length, w);
   sheet.legend(left + shown.length * step - AXIS_LEFT_PX, signed ? maps.differenceRange : range, signed ?? colormap, frame.unit);
-  sheet.canvas.toBlob((blob) => blob && download(name, frame, "png", blob), "image/png");
+  return sheet.canvas;
 }
 
 /** @param {Frame} frame @param {Viewer["maps"]} maps @param {string} view @returns {Shown[]} */
@@ -102,15 +103,15 @@ function wrap(text, width, size) {
 
 /** The picture while it is made. */
 class Sheet {
-  /** @param {number} width px @param {number} height px @param {number} bodyHeight px between head and foot */
-  constructor(width, height, bodyHeight) {
+  /** @param {number} width px @param {number} height px @param {number} bodyHeight px between head and foot @param {number} ratio pixels per px */
+  constructor(width, height, bodyHeight, ratio) {
     this.canvas = document.createElement("canvas");
-    this.canvas.width = PICTURE_RATIO * width;
-    this.canvas.height = PICTURE_RATIO * height;
+    this.canvas.width = ratio * width;
+    this.canvas.height = ratio * height;
     this.ink = themeColors();
     this._tall = bodyHeight;
     this._pen = context2d(this.canvas);
-    this._pen.scale(PICTURE_RATIO, PICTURE_RATIO);
+    this._pen.scale(ratio, ratio);
     this._pen.fillStyle = this.ink.panel;
     this._pen.fillRect(0, 0, width, height);
   }

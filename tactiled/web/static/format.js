@@ -25,13 +25,10 @@ export function fixed(value, decimals) {
   return Number(text) === 0 ? (0).toFixed(decimals) : text.replace("-", "\u2212");
 }
 
-/**
- * @param {number} force N
- * @returns {string} with two decimals from 0.1 N on, with three significant digits below; without its unit
- */
+/** @param {number} force N @returns {string} with three significant digits; without its unit */
 export function newtons(force) {
   const size = Math.abs(force);
-  return size < 0.09995 && size >= 1e-6 ? force.toPrecision(3).replace("-", "\u2212") : fixed(force, 2);
+  return size < 1 && size >= 1e-6 ? force.toPrecision(3).replace("-", "\u2212") : number(force);
 }
 
 /** @param {number} value @returns {string} without decimals; from a million on with a power of ten, as 1.08e6 */

@@ -11,6 +11,8 @@ import { METHODS } from "./wire.js";
 const MAX_FRAMES = 750; // ten seconds at 75 a second
 const MAX_BYTES = 96 * 2 ** 20; // never more memory than this
 const NO_FLAGS = new Uint8Array(0);
+const MAX_TRACED = 45_000; // values: ten minutes at 75 a second
+const GAP_S = 1; // between two frames, from which on no line joins their values
 
 /**
  * One frame as kept.
@@ -36,6 +38,43 @@ const NO_FLAGS = new Uint8Array(0);
  * @property {Measures} ofRestored
  */
 
+/** The forces of frames over ten minutes, in rings. */
+export class ForceTrace {
+  /** @param {number} [capacity] */
+  constructor(capacity = MAX_TRACED) {
+    this.capacity = capacity;
+    this.times = new Float64Array(capacity); // Unix s
+    this.rawForces = new Float64Array(capacity);
+    this.restoredForces = new Float64Array(capacity);
+    this._head = 0;
+    this.length = 0;
+  }
+
+  clear() {
+    this._head = this.length = 0;
+  }
+
+  /** @param {number} back from the newest value @returns {number} where it is in the rings */
+  place(back) {
+    return (this._head - 1 - back + 2 * this.capacity) % this.capacity;
+  }
+
+  /** @param {number} time Unix s @param {number} raw force @param {number} restored */
+  push(time, raw, restored) {
+    if (this.length && time - this.times[this.place(0)] > GAP_S) this._add(time, NaN, NaN);
+    this._add(time, raw, restored);
+  }
+
+  /** @param {number} time @param {number} raw @param {number} restored */
+  _add(time, raw, restored) {
+    this.times[this._head] = time;
+    this.rawForces[this._head] = raw;
+    this.restoredForces[this._head] = restored;
+    this._head = (this._head + 1) % this.capacity;
+    this.length = Math.min(this.capacity, this.length + 1);
+  }
+}
+
 export class FrameHistory {
   /** @param {Plane} plane @param {boolean} hasShear shear */
   constructor(plane, hasShear) {
@@ -47,11 +86,10 @@ export class FrameHistory {
     const restored = new Float32Array(this.capacity * m);
     const flags = new Uint8Array(this.capacity * n);
     const shear = new Float32Array(this.capacity * s);
-    /** Rings of what is drawn over time, one value a frame at its place: Unix s, forces, and ms (NaN if never painted). */
+    /** Rings of what is drawn over time, one value a frame at its place: Unix s, and ms (NaN if never painted). */
     this.times = new Float64Array(this.capacity);
-    this.rawForces = new Float64Array(this.capacity);
-    this.restoredForces = new Float64Array(this.capacity);
     this.latencies = new Float64Array(this.capacity);
+    this.trace = new ForceTrace();
     /** @type {Frame[]} */
     this._frames = Array.from({ length: this.capacity }, (_, i) => ({
       place: i,
@@ -71,6 +109,7 @@ export class FrameHistory {
   /** Keep nothing. */
   clear() {
     this._head = this.length = 0;
+    this.trace.clear();
   }
 
   /**
@@ -121,8 +160,7 @@ export class FrameHistory {
     measure(frame.raw, this._plane.raw, noise, frame.ofRaw, frame.unit);
     measure(frame.restored, this._plane.restored, noise * gain, frame.ofRestored, frame.unit);
     this.times[frame.place] = frame.timestamp;
-    this.rawForces[frame.place] = frame.ofRaw.force;
-    this.restoredForces[frame.place] = frame.ofRestored.force;
+    this.trace.push(frame.timestamp, frame.ofRaw.force, frame.ofRestored.force);
     this.latencies[frame.place] = NaN;
     return frame;
   }

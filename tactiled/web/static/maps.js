@@ -1,10 +1,11 @@
 /** The raw and the restored map side by side, on one colour scale and one scale in mm. @module */
 
 import { CellValues } from "./cell_values.js";
+import { CentrePath } from "./centre_path.js";
 import { Colorbar } from "./colorbar.js";
 import { byId, setText } from "./dom.js";
 import { DisplayRange } from "./display_range.js";
-import { fixed } from "./format.js";
+import { fixed, number } from "./format.js";
 import { Heatmap } from "./heatmap.js";
 import { AXIS_BOTTOM_PX, AXIS_LEFT_PX, MapAxes } from "./map_axes.js";
 import { Overlay } from "./overlay.js";
@@ -14,7 +15,7 @@ import { Surface } from "./surface.js";
 import { UNITS } from "./units.js";
 
 /** @import { Colormap } from "./colormap.js" */
-/** @import { Frame } from "./frame_history.js" */
+/** @import { Frame, FrameHistory } from "./frame_history.js" */
 /** @import { Plane } from "./geometry.js" */
 /** @import { Marks } from "./overlay.js" */
 /** @import { View } from "./view.js" */
@@ -36,6 +37,7 @@ export class Maps {
     /** Restored less raw, by cell of the restored map. */
     this.difference = new Heatmap(byId("difference"), byId("difference-frame"));
     this._maps = [this.raw, this.restored, this.difference];
+    this._paths = [new CentrePath(this.raw.frame, "ofRaw"), new CentrePath(this.restored.frame, "ofRestored")];
     this._values = this._maps.map((each) => new CellValues(each.canvas));
     this._axes = this._maps.map((each) => new MapAxes(each.frame));
     this._differenceRange = new DisplayRange();
@@ -78,7 +80,7 @@ export class Maps {
   /** Show nothing. */
   clear() {
     this._plane = null;
-    for (const each of [...this._maps, ...this._values, ...this._surfaces, this.rawMarks, this.restoredMarks]) each.clear();
+    for (const each of [...this._maps, ...this._values, ...this._surfaces, ...this._paths, this.rawMarks, this.restoredMarks]) each.clear();
     this.arrows.reset();
     this.colorbar.clear();
     this._differenceColorbar.clear();
@@ -104,6 +106,14 @@ export class Maps {
     if (view.name !== "surface") return;
     this._surfaces[0].paint(frame.raw, range, colormap, frame.unit);
     this._surfaces[1].paint(frame.restored, range, colormap, frame.unit);
+  }
+
+  /** @param {FrameHistory|null} history null: no path @param {number} back which frame is shown @param {Plane} plane */
+  drawPath(history, back, plane) {
+    for (const each of this._paths) {
+      if (history) each.draw(history, back, plane);
+      else each.clear();
+    }
   }
 
   /**
@@ -193,6 +203,7 @@ export class Maps {
     for (const each of this._maps) each.resize(zoom);
     for (const each of this._values) each.resize(plane, zoom);
     for (const each of this._axes) each.draw(plane, zoom);
+    for (const each of this._paths) each.resize(plane, zoom);
     this.rawMarks.resize(plane, zoom);
     this.restoredMarks.resize(plane, zoom);
     this.arrows.resize(plane, zoom);
@@ -221,7 +232,7 @@ function extremes(values) {
 }
 
 /** @param {number} value @returns {string} */
-const signedText = (value) => `${value > 0 ? "+" : ""}${fixed(value, 1)}`;
+const signedText = (value) => `${value > 0 ? "+" : ""}${number(value)}`;
 
 /**
  * @param {Plane} plane

@@ -8,7 +8,7 @@ import { CONNECTING } from "./health.js";
 import { PlaybackSession } from "./playback_session.js";
 import { Readings } from "./readings.js";
 import { timeOffset } from "./timeline.js";
-import { FORCE_UNITS, UNITS, lengthText, readingText, shearText } from "./units.js";
+import { FORCE_UNITS, UNITS, lengthText, pressureText, shearText } from "./units.js";
 import { BAD, BELOW_ZERO, DEAD, FAULTY, MISSING, OUT_OF_RANGE, SATURATED } from "./wire.js";
 
 /** @import { DisplayRange } from "./display_range.js" */
@@ -21,7 +21,7 @@ import { BAD, BELOW_ZERO, DEAD, FAULTY, MISSING, OUT_OF_RANGE, SATURATED } from 
 const FLAG_NAMES = /** @type {const} */ ([[DEAD, "dead"], [BAD, "bad"], [MISSING, "missing"], [SATURATED, "saturated"], [OUT_OF_RANGE, "beyond the calibrated range"], [FAULTY, "faulty"], [BELOW_ZERO, "far below zero"]]);
 const PILL_TEXTS = { live: "live", down: "bus down", connecting: "connecting", disconnected: "disconnected", silent: "silent", stale: "stale", ended: "end of recording", playback: "recording" };
 const CURRENT_LEVELS = new Set(["live", "ended", "playback"]); // at which what is shown is what it should be
-const HINTS = { flat: "Point at a map to read it; click or tap to pin.", surface: "Drag to turn, or use the arrow keys on a surface." };
+const HINTS = { flat: "Point at a map to read it; click or tap to pin. Rows and columns count from 0.", surface: "Drag to turn, or use the arrow keys on a surface." };
 /** @type {Health} */
 const UNREACHABLE = { level: "disconnected", title: "DISCONNECTED", text: "The service does not answer. Retrying." };
 
@@ -53,8 +53,9 @@ export class PageText {
     const health = session?.health() ?? (reachable || viewer.name ? CONNECTING : UNREACHABLE);
     const paused = session?.paused ?? false;
     const replayed_s = session?.status?.position_s ?? null;
-    const frame = session?.frame ?? null;
+    const { frame } = viewer;
     this._restoration(session, frame);
+    this._held(viewer.held.text);
     this._health(health, viewer.name, paused, session?.stream.link === "closed");
     if (replayed_s !== null && health.level === "live" && !paused) setText(byId("pill-text"), `replay ${positionText(replayed_s)}`);
     document.body.classList.toggle("replayed", replayed_s !== null);
@@ -74,6 +75,14 @@ export class PageText {
     const offset = paused && contactsOfFrame && frame ? timeOffset(contactsOfFrame, frame) : "";
     setText(this._contactsOf, offset ? `from ${offset}` : "in the restored image");
     this._section(viewer, frame);
+  }
+
+  /** @param {string} text what is shown; "" for one image */
+  _held(text) {
+    document.body.classList.toggle("held", text !== "");
+    setText(byId("raw-sub"), text || "as the taxels measure");
+    setText(byId("restored-sub"), text || "pressure on the cover");
+    byId("hold-reset").hidden = !text.startsWith("highest");
   }
 
   /** Name the units of what is shown. @param {number} unit of pressure; -1 without a sensor */
@@ -134,7 +143,7 @@ export class PageText {
 
   /** Announce what the pinned probe reads to a screen reader. @param {Viewer} viewer */
   announceProbe(viewer) {
-    const read = viewer.probe.pinned ? probeText(viewer, viewer.session?.frame ?? null) : "";
+    const read = viewer.probe.pinned ? probeText(viewer, viewer.frame) : "";
     setText(byId("announce-politely"), read || "Probe released.");
   }
 
@@ -188,14 +197,14 @@ function reading(plane, frame, x, y, compared) {
   const s = plane.find(plane.restored, x, y);
   const place = `x ${fixed(x, 1)}, y ${lengthText(y)}`;
   if (r < 0 || s < 0) return `${place}: no taxel here`;
-  const raw = Number.isNaN(frame.raw[r]) ? "unknown" : readingText(frame.raw[r], frame.unit);
+  const raw = Number.isNaN(frame.raw[r]) ? "unknown" : pressureText(frame.raw[r], frame.unit);
   const off = frame.restored[s] - frame.raw[r];
-  const difference = compared && !Number.isNaN(off) ? `, difference ${off >= 0.05 ? "+" : ""}${readingText(off, frame.unit)}` : "";
+  const difference = compared && !Number.isNaN(off) ? `, difference ${off >= 0.05 ? "+" : ""}${pressureText(off, frame.unit)}` : "";
   const flags = FLAG_NAMES.filter(([bit]) => frame.flags[r] & bit).map(([, name]) => `, ${name}`).join("");
   const taxel = plane.isGrid ? `taxel r${Math.floor(r / plane.raw.columns)} c${r % plane.raw.columns}` : `taxel ${r}`;
   const sheared = frame.sheared && !Number.isNaN(frame.shear[r]);
   const shear = sheared ? `, shear ${fixed(frame.shear[r], 0)}, ${shearText(fixed(frame.shear[plane.raw.count + r], 0))}` : "";
-  return `${place}: raw ${raw}, restored ${readingText(frame.restored[s], frame.unit)}${difference}${shear} (${taxel}${flags})`;
+  return `${place}: raw ${raw}, restored ${pressureText(frame.restored[s], frame.unit)}${difference}${shear} (${taxel}${flags})`;
 }
 
 /**

@@ -1,7 +1,7 @@
 /** A recording on the page: opened from the list, by the address or as a dropped file; its controls and its force. @module */
 
 import * as api from "./api.js";
-import { Chart, line } from "./chart.js";
+import { Chart, PLOT_LEFT_PX, PLOT_RIGHT_PX, line } from "./chart.js";
 import { roundUp } from "./display_range.js";
 import { byId, setText } from "./dom.js";
 import { positionText } from "./format.js";
@@ -14,6 +14,7 @@ import { withToken } from "./token_dialog.js";
 import { FORCE_UNITS } from "./units.js";
 
 /** @import { Played } from "./api.js" */
+/** @import { AxisWindow } from "./chart_window.js" */
 /** @import { Curve } from "./recorded_series.js" */
 /** @import { Session } from "./session.js" */
 /** @import { Viewer } from "./viewer.js" */
@@ -21,7 +22,6 @@ import { FORCE_UNITS } from "./units.js";
 const FIRST_MS = 200; // between two looks whether the first frames were read
 const READ_MS = 1000; // between two looks how far the file was read
 const NO_FRAMES = "no frame of this sensor";
-const [CHART_LEFT_PX, CHART_RIGHT_PX] = [46, 12]; // of chart.js
 
 /** @param {Session|PlaybackSession|null|undefined} session @returns {PlaybackSession|null} */
 const playbackOf = (session) => (session instanceof PlaybackSession ? session : null);
@@ -34,7 +34,10 @@ export class PlaybackPage {
     const given = new URLSearchParams(location.hash.split("?")[1] ?? "");
     /** Name of the recording that is open; "" for none. */
     this.recording = given.get("recording") ?? "";
-    this._series = new RecordedSeriesPanel((number) => viewer.show(viewer.session instanceof PlaybackSession ? viewer.session.recorded.frames - 1 - number : 0));
+    this._series = new RecordedSeriesPanel((number) => {
+      viewer.show(viewer.session instanceof PlaybackSession ? viewer.session.recorded.frames - 1 - number : 0);
+      window.scrollTo({ top: 0 });
+    });
     this._regions = ""; // the sensor's, of which the values are known
     /** @type {Curve|null} that the chart was last asked to draw */
     this._curve = null;
@@ -76,7 +79,7 @@ export class PlaybackPage {
     this._position = 0;
     this._viewer.source = (sensor) => this._load(sensor);
     this._viewer.reopen(this._viewer.name);
-    byId("maps").focus({ preventScroll: true });
+    showMaps();
   }
 
   /** Watch the sensors live again. */
@@ -165,7 +168,8 @@ export class PlaybackPage {
     session.loop = this._loop.checked;
     session.setSpeed(Number(this._speed.value));
     session.showAt(this._position);
-    this._chart = new OverviewChart(this._viewer.forces.chart);
+    this._viewer.position.reset();
+    this._chart = new OverviewChart(this._viewer.forces.chart, this._viewer.position);
     this._series.use(session);
     this._follow(session);
   }
@@ -177,8 +181,9 @@ export class PlaybackPage {
   /** @param {MouseEvent} event on the chart of the force */
   _seekInChart(event) {
     const session = this._session;
-    const width = byId("forces").clientWidth - CHART_LEFT_PX - CHART_RIGHT_PX;
-    if (session) session.showAt(((event.offsetX - CHART_LEFT_PX) / width) * session.recorded.duration_s);
+    const width = byId("forces").clientWidth - PLOT_LEFT_PX - PLOT_RIGHT_PX;
+    const { left, right } = this._viewer.position;
+    session?.showAt(left + ((event.offsetX - PLOT_LEFT_PX) / width) * (right - left));
   }
 
   /** Bring texts and controls up to date. */
@@ -190,8 +195,8 @@ export class PlaybackPage {
     if (curve !== this._curve) this._viewer.refresh();
     this._curve = curve;
     setText(byId("force-name"), curve ? "Whole recording" : "Total force");
-    setText(byId("force-span"), curve ? "restored" : session ? "raw, whole recording" : "last 10 s");
-    byId("forces").setAttribute("aria-label", session ? `${curve ? curve.title : "Total raw force"} over the whole recording` : "Total force over the last ten seconds, raw and restored");
+    setText(byId("force-span"), curve ? "restored" : session ? "raw, whole recording" : this._viewer.time.text);
+    byId("forces").setAttribute("aria-label", session ? `${curve ? curve.title : "Total raw force"} over the whole recording` : `Total force, raw and restored, ${this._viewer.time.text}`);
     document.body.classList.toggle("curve", Boolean(curve));
     setText(byId("loss-since"), session ? "since its beginning" : "since the service started");
     this._scrub.setAttribute("aria-label", session ? "Position in the recording" : "Kept frames, newest at the right");
@@ -221,9 +226,10 @@ export class PlaybackPage {
 
 /** Force over a whole recording, and where it is. */
 class OverviewChart {
-  /** @param {Chart} chart */
-  constructor(chart) {
+  /** @param {Chart} chart @param {AxisWindow} part of the recording that is shown */
+  constructor(chart, part) {
     this._chart = chart;
+    this._part = part;
     this._line = line(0, "raw");
     /** @type {Played|Curve|null} */
     this._of = null;
@@ -241,8 +247,11 @@ class OverviewChart {
       const top = roundUp(Math.max(1e-3, ...known));
       const lowest = Math.min(0, ...known);
       const bottom = lowest < -0.05 * top ? -roundUp(-lowest) : -0.06 * top;
-      this._axes = { ...this._axes, right: Math.max(recorded.duration_s, 1e-3), top, bottom, y };
+      this._axes = { ...this._axes, top, bottom, y };
     }
+    this._part.limit(0, Math.max(recorded.duration_s, 1e-3));
+    this._axes.left = this._part.left;
+    this._axes.right = this._part.right;
     this._chart.draw(this._axes, [this._line], position);
   }
 }
@@ -255,6 +264,12 @@ function describe({ frames, reading, timestamp, tared_at, calibration, error, ca
   const end = reading ? ", reading …" : error ? `, ends early: ${error}` : "";
   const also = caveats.map((each) => `, ${each}`).join("");
   return `${timestamp === null ? "" : `${when(timestamp)}, `}${frames} frames${zero}${file}${also}${end}`;
+}
+
+/** Bring the maps into view, for what is shown on them from now on. */
+function showMaps() {
+  byId("maps").focus({ preventScroll: true });
+  window.scrollTo({ top: 0 });
 }
 
 /** @param {number} ms @returns {Promise<void>} */

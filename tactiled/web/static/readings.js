@@ -3,7 +3,7 @@
 import { byId, element, setText } from "./dom.js";
 import { fixed, number } from "./format.js";
 import { measures } from "./measures.js";
-import { forceNumber, forceText, lengthText, pressureText } from "./units.js";
+import { FORCE_UNITS, forceNumber, forceText, lengthText, pressureText } from "./units.js";
 import { Alerts } from "./warnings.js";
 
 /** @import { Loss, Sensor } from "./api.js" */
@@ -105,7 +105,7 @@ export class Readings {
     showMeasures(this._raw, frame ? frame.ofRaw : NO_MEASURES, unit, idle);
     showMeasures(this._restored, frame ? frame.ofRestored : NO_MEASURES, unit, idle);
     for (const [kind, of] of /** @type {const} */ ([["raw", frame?.ofRaw], ["restored", frame?.ofRestored]])) {
-      setText(byId(`${kind}-caption`), of ? `${forceText(of.force, unit)}, peak ${pressureText(of.peak, unit)}` : "");
+      setText(byId(`${kind}-caption`), of ? `${idle ? `${idleForce(of.force, unit)} ${FORCE_UNITS[unit]}` : forceText(of.force, unit)}, peak ${pressureText(of.peak, unit)}` : "");
     }
     setText(at.iterations, frame ? String(frame.iterations) : "\u2013");
     setText(at.microseconds, frame ? time(frame.microseconds) : "\u2013");
@@ -169,6 +169,9 @@ export class Readings {
 const measureCells = (kind) =>
   ({ force: byId(`force-${kind}`), peak: byId(`peak-${kind}`), x: byId(`x-${kind}`), y: byId(`y-${kind}`) });
 
+/** @param {number} force @param {number} unit of pressure @returns {string} of noise alone */
+const idleForce = (force, unit) => fixed(force, unit ? 0 : 2);
+
 /**
  * @param {ReturnType<typeof measureCells>} at cells to fill
  * @param {Measures} of an image
@@ -176,8 +179,8 @@ const measureCells = (kind) =>
  * @param {boolean} idle nothing but noise: its small digits say nothing
  */
 function showMeasures(at, of, unit, idle) {
-  setText(at.force, idle ? fixed(of.force, unit ? 0 : 2) : forceNumber(of.force, unit));
-  setText(at.peak, fixed(of.peak, 1));
+  setText(at.force, idle ? idleForce(of.force, unit) : forceNumber(of.force, unit));
+  setText(at.peak, number(of.peak));
   setText(at.x, fixed(of.x, 1));
   setText(at.y, fixed(of.y, 1));
 }

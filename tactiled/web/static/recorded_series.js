@@ -2,7 +2,7 @@
 
 import * as api from "./api.js";
 import { byId, element, setText } from "./dom.js";
-import { fixed, positionText } from "./format.js";
+import { number, positionText } from "./format.js";
 import { messageOf } from "./notice.js";
 import { methodTitle } from "./readings.js";
 import { forceNumber, unitOf, unitOfQuantity } from "./units.js";
@@ -116,15 +116,15 @@ export class RecordedSeriesPanel {
     const head = element("th", "", name);
     head.scope = "row";
     return element("tr", "", head, ...QUANTITIES.flatMap((quantity) => {
-      const { value, number, position_s } = highest[quantity];
+      const { value, number: at, position_s } = highest[quantity];
       if (value === null) return [element("td", "", "–"), element("td", "")];
-      const text = quantity === "force" ? forceNumber(value, unitOf(unit)) : fixed(value, 1);
+      const text = quantity === "force" ? forceNumber(value, unitOf(unit)) : number(value);
       const button = element("button", "link", positionText(position_s));
       button.type = "button";
-      button.title = `Show frame ${number}, and ${quantity} over the recording`;
+      button.title = `Show frame ${at}, and ${quantity} over the recording`;
       button.addEventListener("click", () => {
         this._choice.value = `${name}, ${quantity}`;
-        this._show(number);
+        this._show(at);
       });
       return [element("td", "", text), element("td", "", button)];
     }));

@@ -42,8 +42,9 @@ export class RegionLayer {
     draw.clearRect(0, 0, plane.width * zoom, plane.height * zoom);
     draw.font = `600 ${TEXT_PX}px ${getComputedStyle(document.body).fontFamily}`;
     draw.lineJoin = "round";
+    const labels = [];
     for (const { name, shape, points_mm, exceeded, slot } of outlines) {
-      const color = exceeded ? "#ffb454" : SERIES[slot ?? -1] ?? "#fff";
+      const color = SERIES[slot ?? -1] ?? (exceeded ? "#ffb454" : "#fff");
       const points = points_mm.map(([x, y]) => [(x - plane.left) * zoom, (y - plane.top) * zoom]);
       const xs = points.map((each) => each[0]);
       const ys = points.map((each) => each[1]);
@@ -51,19 +52,41 @@ export class RegionLayer {
       draw.beginPath();
       outline(draw, shape, points, left, top, Math.max(...xs) - left, bottom - top);
       for (const [width, stroke] of /** @type {const} */ ([[3.5, "rgb(0 0 0 / 80%)"], [1.5, color]])) {
-        draw.setLineDash(width > 2 ? [] : [6, 3]);
+        draw.setLineDash(width > 2 || exceeded ? [] : [6, 3]);
         draw.lineWidth = width;
         draw.strokeStyle = stroke;
         draw.stroke();
       }
       draw.setLineDash([]);
       if (!name && shape === "polygon") drawHandle(draw, points[0]);
-      draw.lineWidth = 3;
-      draw.strokeStyle = "rgb(0 0 0 / 80%)";
+      if (name) labels.push({ name: exceeded ? `▲ ${name}` : name, color, left, top, bottom });
+    }
+    this._label(labels, plane.width * zoom, plane.height * zoom);
+  }
+
+  /**
+   * Write each name below its region, as labels of contacts are above them; else above or in it; none over another.
+   * @param {{name: string, color: string, left: number, top: number, bottom: number}[]} labels px
+   * @param {number} width px, of the map
+   * @param {number} height px
+   */
+  _label(labels, width, height) {
+    const draw = context2d(this._canvas);
+    /** @type {{x: number, y: number, wide: number}[]} */
+    const placed = [];
+    draw.lineWidth = 3;
+    draw.strokeStyle = "rgb(0 0 0 / 80%)";
+    for (const { name, color, left, top, bottom } of labels) {
+      const wide = draw.measureText(name).width;
+      const x = Math.max(2, Math.min(width - wide - 2, left + 2));
+      const free = (/** @type {number} */ y) => y >= TEXT_PX && y <= height - 4
+        && placed.every((each) => Math.abs(each.y - y) > TEXT_PX || each.x > x + wide || x > each.x + each.wide);
+      const y = [bottom + TEXT_PX + 1, top - 4, top + TEXT_PX + 2, bottom - 4, (top + bottom) / 2].find(free);
+      if (y === undefined) continue;
+      placed.push({ x, y, wide });
       draw.fillStyle = color;
-      const y = Math.min(plane.height * zoom - 4, bottom + TEXT_PX); // labels of contacts are above them
-      draw.strokeText(name, Math.max(2, left), y);
-      draw.fillText(name, Math.max(2, left), y);
+      draw.strokeText(name, x, y);
+      draw.fillText(name, x, y);
     }
   }
 }

@@ -4,7 +4,7 @@ import * as api from "./api.js";
 import { Chart, gappedLine } from "./chart.js";
 import { roundUp } from "./display_range.js";
 import { byId, confirmed, element, setText } from "./dom.js";
-import { fixed } from "./format.js";
+import { number } from "./format.js";
 import { cellAround } from "./geometry.js";
 import { RegionDrawing } from "./region_drawing.js";
 import { RegionLayer } from "./region_layer.js";
@@ -16,6 +16,7 @@ import { FORCE_UNITS, forceNumber, forceText, pressureText, unitOf, unitOfQuanti
 
 /** @import { Measure, Region, Shape } from "./api.js" */
 /** @import { Plane } from "./geometry.js" */
+/** @import { RegionMeasures } from "./region_measure.js" */
 /** @import { Viewer } from "./viewer.js" */
 
 const POLL_MS = 250;
@@ -32,6 +33,8 @@ export class Regions {
     this._regions = [];
     /** @type {{plane: Plane, shapes: string, cells: number[][]}|null} the regions' cells */
     this._inside = null;
+    /** @type {(RegionMeasures|null)[]} of each, in the frame that is shown */
+    this._values = [];
     this._sensor = ""; // whose regions are in the list; another one than is watched until the next look
     this._owner = ""; // sensor of the region in the dialog
     const { raw, restored } = viewer.maps;
@@ -104,22 +107,29 @@ export class Regions {
 
   /** Bring the values up to date with the frame that is shown. */
   read() {
-    const { session, name } = this._viewer;
-    const { frame = null, plane = null } = session ?? {};
+    const { session, name, frame, held } = this._viewer;
+    const { plane = null } = session ?? {};
     if (!plane || this._sensor !== name) return;
     if (this._inside?.plane !== plane || this._inside.shapes !== this.shapes) {
       this._inside = { plane, shapes: this.shapes, cells: this._regions.map((each) => cellsIn(each, plane.restored)) };
     }
     const { cells: inside } = this._inside;
-    this._regions.forEach((region, i) => {
+    this._values = this._regions.map((region, i) => {
       const { cells } = this._body.rows[i];
-      const now = session instanceof PlaybackSession ? session.regions.find((each) => each.name === region.name)
+      const now = session instanceof PlaybackSession && held.kind === "now" ? session.regions.find((each) => each.name === region.name)
         : frame && measureRegion(inside[i], frame, plane.restored);
       setText(cells[1], now?.force == null ? "–" : forceNumber(now.force, session?.unit ?? 0));
-      setText(cells[2], now?.mean == null ? "–" : fixed(now.mean, 1));
-      setText(cells[3], now?.peak == null ? "–" : fixed(now.peak, 0));
-      setText(cells[4], now?.area == null ? "–" : fixed(now.area, 0));
+      setText(cells[2], now?.mean == null ? "–" : number(now.mean));
+      setText(cells[3], now?.peak == null ? "–" : number(now.peak));
+      setText(cells[4], now?.area == null ? "–" : number(now.area));
+      return now?.force == null ? null : /** @type {RegionMeasures} */ (now);
     });
+  }
+
+  /** @returns {[string, RegionMeasures|null][]} what each holds in the frame that is shown */
+  measured() {
+    this.read();
+    return this._regions.map(({ name }, i) => [name, this._values[i] ?? null]);
   }
 
   /** @param {string} sensor @param {Region[]} watched */
@@ -184,16 +194,11 @@ export class Regions {
   _open(region, sensor) {
     this._chosen = region;
     this._owner = sensor;
-    const unit = this._viewer.unit;
     const isNew = region.name === undefined;
     setText(byId("region-title"), isNew ? `New region: ${region.shape}` : `Region ${region.name}`);
     this._name.value = region.name ?? "";
     this._name.readOnly = !isNew;
     this._limit.value = region.threshold?.quantity ?? "";
-    for (const option of this._limit.options) {
-      const quantity = /** @type {Measure|""} */ (option.value);
-      option.textContent = quantity ? `${quantity}, ${unitOfQuantity(quantity, unit)}` : "nothing";
-    }
     this._above.value = String(region.threshold?.above ?? "");
     this._below.value = String(region.threshold?.below ?? "");
     byId("region-held").hidden = byId("region-reset").hidden = isNew || this._viewer.session instanceof PlaybackSession;
@@ -208,6 +213,8 @@ export class Regions {
   _showLimit() {
     const quantity = /** @type {Measure|""} */ (this._limit.value);
     byId("region-limits").hidden = !quantity;
+    if (!quantity) return;
+    for (const each of this._dialog.querySelectorAll(".limit-unit")) setText(each, unitOfQuantity(quantity, this._viewer.unit));
   }
 
   async _save() {

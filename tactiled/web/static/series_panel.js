@@ -2,6 +2,7 @@
 
 import * as api from "./api.js";
 import { Chart, gappedLine } from "./chart.js";
+import { zoomable } from "./chart_zoom.js";
 import { roundUp } from "./display_range.js";
 import { byId, element } from "./dom.js";
 import { download } from "./download.js";
@@ -19,6 +20,8 @@ import { FORCE_SCALES, unitOf, unitOfQuantity } from "./units.js";
 const POLL_MS = 500;
 const CHART_POINTS = 600; // of a region
 const MAX_POINTS = 60_000;
+const MAX_REACH_S = 600;
+const OFFERED_SPANS = new Set(["10", "60", "600"]);
 const MAX_OFFERED = 8; // contacts, the newest
 const MAX_GAPS_S = { contact: 0.5, region: 1 }; // between two values that a line joins; of regions as in the service's integrals
 const MAX_GAP_FRAMES = 3; // the same of a slow sensor
@@ -42,7 +45,10 @@ export class SeriesPanel {
       this._offer();
     });
     this._add.addEventListener("pointerdown", () => this._offer());
-    for (const each of [this._quantity, this._span]) each.addEventListener("change", () => this._draw());
+    zoomable(this.chart.canvas, () => viewer.time);
+    this._quantity.addEventListener("change", () => this._draw());
+    this._span.addEventListener("change", () => viewer.time.reset(Number(this._span.value)));
+    viewer.onTime = () => this._draw();
     byId("plot-csv").addEventListener("click", () => this._save());
     byId("contact-list").addEventListener("click", (event) => {
       const button = event.target instanceof Element ? event.target.closest("tbody tr")?.querySelector("button") : null;
@@ -108,9 +114,8 @@ export class SeriesPanel {
     }));
   }
 
-  /** @param {Session} session @param {number} points of a region at most @returns {Promise<Map<string, Series>>} by what is chosen */
-  async _read(session, points) {
-    const seconds = Number(this._span.value);
+  /** @param {Session} session @param {number} seconds @param {number} points of a region at most @returns {Promise<Map<string, Series>>} by what is chosen */
+  async _read(session, seconds, points) {
     return new Map(await Promise.all([...this._slots.keys()].map(async (key) => {
       const name = key.slice(key.indexOf(" ") + 1);
       const series = key.startsWith("contact ") ? session.series.of(Number(name), seconds) : await api.regionSeries(session.name, name, seconds, points);
@@ -121,11 +126,16 @@ export class SeriesPanel {
   async _draw() {
     const session = this._session;
     if (!session) return;
-    const seconds = Number(this._span.value);
+    const { time } = this._viewer;
+    const newest = session.history.trace.times[session.history.trace.place(0)] || 0;
+    const [left, right] = time.ends(newest);
+    const reach = Math.min(MAX_REACH_S, -left + 1); // regions may be newer than the newest frame
+    const points = Math.min(MAX_POINTS, Math.ceil((CHART_POINTS * reach) / (right - left)));
+    if (OFFERED_SPANS.has(String(time.span))) this._span.value = String(time.span);
     const quantity = /** @type {Quantity} */ (this._quantity.value);
     let all;
     try {
-      all = await this._read(session, CHART_POINTS);
+      all = await this._read(session, reach, points);
     } catch {
       return; // the page says already that the service does not answer
     }
@@ -135,15 +145,14 @@ export class SeriesPanel {
     const lines = [...all].map(([key, series]) => {
       const slot = this._slots.get(key) ?? 0;
       const isContact = key.startsWith("contact ");
-      const maxGap = isContact ? Math.max(MAX_GAPS_S.contact, frames_s) : Math.max(MAX_GAPS_S.region, frames_s) + seconds / CHART_POINTS;
+      const maxGap = isContact ? Math.max(MAX_GAPS_S.contact, frames_s) : Math.max(MAX_GAPS_S.region, frames_s) + reach / points;
       return gappedLine(series.time, series[quantity] ?? [], maxGap, /** @type {Ink} */ (`series${slot + 1}`), DASHES[slot]);
     });
-    const zero = Math.max(session.series.newest || 0, session.history.at(0)?.timestamp ?? 0, ...lines.map(({ x }) => x[x.length - 1] || 0));
-    for (const each of lines) each.zero = zero;
-    const axes = { left: -seconds, right: 0, x: "time, s", ...yAxis(quantity, lines.map(({ y }) => y), session) };
-    this.chart.draw(axes, lines, paused && frame ? frame.timestamp - zero : NaN);
-    const what = `${this._quantity.selectedOptions[0].text} of ${[...all.keys()].map(title).join(", ")}`;
-    this.chart.canvas.setAttribute("aria-label", `${what} over the last ${this._span.selectedOptions[0].text}`);
+    for (const each of lines) each.zero = newest;
+    const axes = { left, right, x: "time, s", ...yAxis(quantity, lines.map(({ y }) => y), session) };
+    this.chart.draw(axes, lines, paused && frame ? frame.timestamp - newest : NaN);
+    const what = `${this._quantity.selectedOptions[0].text} of ${[...all.keys()].map(title).join(", ")}, `;
+    this.chart.canvas.setAttribute("aria-label", `${what}${time.text}`);
   }
 
   async _save() {
@@ -152,7 +161,7 @@ export class SeriesPanel {
     if (!session || !frame) return;
     try {
       const state = `${document.body.dataset.level}, series of the last ${this._span.selectedOptions[0].text}`;
-      const text = seriesCsv(await this._read(session, MAX_POINTS), session.unit, provenance(session.name, frame, session.status, state));
+      const text = seriesCsv(await this._read(session, Number(this._span.value), MAX_POINTS), session.unit, provenance(session.name, frame, session.status, state));
       download(session.name, frame, "series.csv", new Blob([text], { type: "text/csv" }));
     } catch (error) {
       notice(`Series not saved: ${messageOf(error)}`, true);

@@ -1,12 +1,19 @@
-/** Values of the frames that are kept, over the last seconds. @module */
+/** Values over the last seconds. @module */
 
 import { Chart, line } from "./chart.js";
-import { steadyTop, roundUp } from "./display_range.js";
+import { roundUp, steadyTop } from "./display_range.js";
 
 /** @import { Axes, Line } from "./chart.js" */
-/** @import { FrameHistory } from "./frame_history.js" */
 
-const SPAN_S = 10;
+const MAX_POINTS = 2048; // of a line: of more, the lowest and the highest of each piece are drawn
+
+/**
+ * Values in rings, as of a FrameHistory or ForceTrace.
+ * @typedef {object} Rings
+ * @property {Float64Array} times Unix s, rising
+ * @property {number} length values in use
+ * @property {(back: number) => number} place of a value, counted back from the newest
+ */
 
 export class TrendChart {
   /**
@@ -19,10 +26,10 @@ export class TrendChart {
     this._minTop = minTop;
     /** @type {Line[]} */
     this._lines = [];
+    /** @type {Float64Array[]} that they are drawn of */
+    this._values = [];
     /** @type {Axes} */
-    this._axes = { left: -SPAN_S, right: 0, bottom: 0, top: 1, x: "time, s", y: unit };
-    this._highest = 0;
-    this._lowest = 0;
+    this._axes = { left: 0, right: 0, bottom: 0, top: 1, x: "time, s", y: unit };
   }
 
   /** Another unit. @param {string} unit @param {number} minTop that the axis always reaches */
@@ -33,56 +40,85 @@ export class TrendChart {
     this._minTop = minTop;
   }
 
-  /**
-   * @param {FrameHistory} history
-   * @param {["raw"|"restored"|"accent", Float64Array][]} rings the history's that are drawn, each with its ink
-   */
-  use(history, rings) {
-    this._lines = rings.map(([ink, y]) => ({ ...line(0, ink), x: history.times, y }));
+  /** @param {["raw"|"restored"|"accent", Float64Array][]} rings that are drawn, each with its ink */
+  use(rings) {
+    this._lines = rings.map(([ink]) => line(MAX_POINTS + 3, ink));
+    this._values = rings.map(([, values]) => values);
     this._axes.top = 0;
   }
 
-  /** @param {FrameHistory} history @param {number} back which frame is shown */
-  draw(history, back) {
-    const { times } = history;
-    const count = this._scan(history);
-    const newest = history.place(0);
-    for (let k = 0; k < this._lines.length; k += 1) {
-      const each = this._lines[k];
-      each.length = count;
-      each.first = history.place(count - 1);
-      each.zero = times[newest];
-    }
-    const { top } = this._axes;
-    this._axes.top = steadyTop(top, this._highest);
-    this._axes.bottom = this._lowest < -0.05 * this._axes.top ? -roundUp(-this._lowest) : -0.06 * this._axes.top;
-    this.chart.draw(this._axes, this._lines, back ? times[history.place(back)] - times[newest] : NaN);
-  }
-
   /**
-   * Look for the extremes of the last seconds.
-   * @param {FrameHistory} history
-   * @returns {number} how many frames that is
+   * @param {Rings} rings with the times of the values
+   * @param {[number, number]} ends of the axis, s from the newest
+   * @param {number} cursor Unix s, of the frame that is shown; NaN for none
    */
-  _scan(history) {
-    const { times, capacity, length } = history;
-    const lines = this._lines;
-    let at = history.place(0);
-    const since = times[at] - SPAN_S;
-    let highest = this._minTop; // in variables of its own: a number in a field may be an object y change
+  draw(rings, [left, right], cursor) {
+    const { _axes: axes } = this;
+    const newest = rings.times[rings.place(0)];
+    const first = backAt(rings, newest + left);
+    const last = backAt(rings, newest + right);
+    let highest = this._minTop;
     let lowest = 0;
-    let count = 0;
-    while (count < length && times[at] >= since) {
-      for (let k = 0; k < lines.length; k += 1) {
-        const value = lines[k].y[at];
-        if (value > highest) highest = value;
-        if (value < lowest) lowest = value;
+    for (let k = 0; k < this._lines.length; k += 1) {
+      const of = this._lines[k];
+      fill(of, rings, this._values[k], Math.min(rings.length - 1, first), Math.max(0, last - 1), newest);
+      for (let i = 0; i < of.length; i += 1) {
+        if (of.y[i] > highest) highest = of.y[i];
+        if (of.y[i] < lowest) lowest = of.y[i];
       }
-      count += 1;
-      at = at ? at - 1 : capacity - 1;
     }
-    this._highest = highest;
-    this._lowest = lowest;
-    return count;
+    axes.left = left;
+    axes.right = right;
+    axes.top = steadyTop(axes.top, highest);
+    axes.bottom = lowest < -0.05 * axes.top ? -roundUp(-lowest) : -0.06 * axes.top;
+    this.chart.draw(axes, this._lines, cursor - newest);
   }
+}
+
+/** @param {Rings} rings @param {number} time Unix s @returns {number} how far back the newest value is that is older; `length` for none */
+export function backAt(rings, time) {
+  let [low, high] = [0, rings.length];
+  while (low < high) {
+    const middle = (low + high) >> 1;
+    if (rings.times[rings.place(middle)] < time) high = middle;
+    else low = middle + 1;
+  }
+  return low;
+}
+
+/**
+ * @param {Line} into
+ * @param {Rings} rings
+ * @param {Float64Array} values
+ * @param {number} first how far back the oldest of them is
+ * @param {number} last the newest
+ * @param {number} zero Unix s, that is drawn as 0
+ */
+function fill(into, rings, values, first, last, zero) {
+  const count = rings.length ? first - last + 1 : 0;
+  const step = Math.max(1, Math.ceil((3 * count) / MAX_POINTS));
+  into.length = 0;
+  for (let back = first; back >= last && count > 0; back -= step) {
+    let low = rings.place(back);
+    let high = low;
+    let gap = Number.isNaN(values[low]);
+    for (let b = back - 1; b >= Math.max(last, back - step + 1); b -= 1) {
+      const at = rings.place(b);
+      if (Number.isNaN(values[at])) gap = true;
+      if (values[at] < values[low] || Number.isNaN(values[low])) low = at;
+      if (values[at] > values[high] || Number.isNaN(values[high])) high = at;
+    }
+    const one = rings.times[low] <= rings.times[high] ? low : high;
+    const other = one === low ? high : low;
+    add(into, rings.times[one] - zero, values[one]);
+    if (other !== one) add(into, rings.times[other] - zero, values[other]);
+    if (gap) add(into, rings.times[other] - zero, NaN);
+  }
+}
+
+/** @param {Line} into @param {number} x @param {number} y */
+function add(into, x, y) {
+  into.x[into.length] = x;
+  into.y[into.length] = y;
+  into.length += 1;
 }

@@ -20,9 +20,6 @@ export const unitOf = (name) => Math.max(0, UNITS.indexOf(name));
 /** @param {number} value @param {number} unit @param {number} digits significant ones @returns {string} */
 export const pressureText = (value, unit, digits = 3) => `${number(value, digits)} ${UNITS[unit]}`;
 
-/** @param {number} value @param {number} unit @returns {string} with one decimal */
-export const readingText = (value, unit) => `${fixed(value, 1)} ${UNITS[unit]}`;
-
 /** @param {number} value mm @param {number} decimals @returns {string} */
 export const lengthText = (value, decimals = 1) => `${fixed(value, decimals)} mm`;
 

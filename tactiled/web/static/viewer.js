@@ -1,6 +1,8 @@
 /** The sensor that is watched, on the screen: maps, charts and the cover. @module */
 
 import * as api from "./api.js";
+import { AxisWindow, TimeWindow } from "./chart_window.js";
+import { zoomable } from "./chart_zoom.js";
 import { ContactOutline } from "./contact_outline.js";
 import { MAX_ROWS } from "./contact_table.js";
 import { CrossSection, placeLine } from "./cross_section.js";
@@ -8,6 +10,7 @@ import { DisplayRange } from "./display_range.js";
 import { byId } from "./dom.js";
 import { FrameRate } from "./frame_rate.js";
 import { Plane } from "./geometry.js";
+import { HeldImage } from "./held_image.js";
 import { KernelPanel } from "./kernel.js";
 import { Maps } from "./maps.js";
 import { notice, messageOf } from "./notice.js";
@@ -26,6 +29,8 @@ import { View } from "./view.js";
 /** @import { Contact, ContactsMessage, Status } from "./sensor_stream.js" */
 
 const MIN_FORCES = FORCE_SCALES.map((each) => 100 * each); // that the chart of forces reaches up to: 0.1 N
+/** @type {[number, number]} s, of the chart of latencies */
+const LATENCY_ENDS = [-10, 0];
 const TREND_MS = 100; // between two drawings of what changes slowly
 
 /**
@@ -43,11 +48,25 @@ export class Viewer {
     /** By unit of pressure. */
     this.ranges = UNITS.map(() => new DisplayRange());
     this.maps = new Maps(() => this.refresh());
-    this.section = new CrossSection(byId("section"));
+    /** The time axis of live charts. */
+    this.time = new TimeWindow(() => {
+      this._redraw();
+      this.onTime();
+    });
+    /** The parts of a recording, and of the cross-section, that are shown. */
+    this.position = new AxisWindow(() => this._redraw());
+    this.along = new AxisWindow(() => this._redraw());
+    this.section = new CrossSection(byId("section"), this.along);
     this.forces = new TrendChart(byId("forces"), FORCE_UNITS[0], MIN_FORCES[0]);
     this.latencies = new TrendChart(byId("latencies"), "ms", 5);
+    zoomable(byId("section"), () => this.along);
+    zoomable(byId("forces"), () => (this.session instanceof PlaybackSession ? this.position : this.time));
     this.kernel = new KernelPanel(byId("kernel"));
     this.pace = new FrameRate();
+    /** Whether the newest image is shown, or what it had for some time. */
+    this.held = new HeldImage();
+    /** Whether the way of the centre of pressure is shown. */
+    this.path = false;
     this.probe = new Probe([this.maps.raw, this.maps.restored, this.maps.difference], (deliberate) => {
       this.refresh();
       if (deliberate) listener.onProbe();
@@ -61,6 +80,10 @@ export class Viewer {
     this.session = null;
     /** @type {((name: string) => Promise<Played|null>)|null} gives the recording to watch in the place of a sensor */
     this.source = null;
+    /** Learns that something was painted. @type {(now: number) => void} */
+    this.onPainted = () => {};
+    /** Draws other charts of the time axis. @type {() => void} */
+    this.onTime = () => {};
     /** Draws force over a recording. @type {(unit: number) => void} */
     this.drawOverview = () => {};
     /** Name of the sensor that is chosen; "" for none. */
@@ -82,6 +105,12 @@ export class Viewer {
     this._paint = this._paint.bind(this);
   }
 
+  /** Draw the charts at once. */
+  _redraw() {
+    this._trendsAt = 0;
+    this.refresh();
+  }
+
   /** @returns {number} unit of pressure of the sensor that is watched, index in UNITS */
   get unit() {
     return this.session?.unit ?? 0;
@@ -90,6 +119,23 @@ export class Viewer {
   /** @returns {DisplayRange} of the sensor that is watched */
   get range() {
     return this.ranges[this.unit];
+  }
+
+  /** @returns {Frame|null} what is shown: a frame, or what was held of some */
+  get frame() {
+    const { session } = this;
+    if (!session) return null;
+    return this.held.of(session.frame, session.history, placeOf(session), session.plane, session.paused);
+  }
+
+  /** Show images as they come, or what is held of them. @param {import("./held_image.js").Held} kind */
+  hold(kind) {
+    const { session } = this;
+    this.held.reset(kind);
+    if (session?.frame) this.held.push(session.frame, session.plane);
+    this._fit();
+    this.refresh();
+    this._listener.onChange();
   }
 
   /** Paint at the screen's next turn. */
@@ -102,7 +148,7 @@ export class Viewer {
   /** @returns {ContactsMessage|null} contacts to show: of the frame that is shown, or of one near it */
   get contactsOfFrame() {
     const frame = this.session?.frame;
-    return this.session && frame && this.contacts ? this.session.contacts.at(frame.timestamp) : null;
+    return this.session && frame && this.contacts && this.held.kind === "now" ? this.session.contacts.at(frame.timestamp) : null;
   }
 
   /** Label contacts on the maps with the forces that the table has. @param {Contact[]} contacts in the table */
@@ -125,31 +171,36 @@ export class Viewer {
     const { session, view: { colormap } } = this;
     if (!session || !colormap) return;
     if (this._fresh && session.holdBack()) this._fresh = false;
-    const { frame } = session;
+    const { frame } = this;
     this.maps.colorbar.draw(this.range, colormap, this.unit);
     if (frame) this._mark(frame, session);
     if (frame) this.maps.paint(frame, this.range, colormap, this.marks, this.shear, this.view);
+    this._drawPath(session);
     this.section.draw(frame, this.marks, this.range, frame && this._deviation(frame, session, now), this.unit);
     if (!this._fresh || now - this._trendsAt >= TREND_MS) {
       this._trendsAt = now;
       this.forces.measure(FORCE_UNITS[this.unit], MIN_FORCES[this.unit]);
       if (session instanceof PlaybackSession) this.drawOverview(this.unit);
       else {
-        this.forces.draw(session.history, session.back);
-        this.latencies.draw(session.history, session.back);
+        const cursor = session.back ? session.history.at(session.back)?.timestamp ?? NaN : NaN;
+        const { trace } = session.history;
+        this.forces.draw(trace, this.time.ends(trace.times[trace.place(0)]), cursor);
+        this.latencies.draw(session.history, LATENCY_ENDS, cursor);
       }
     }
-    if (!this._fresh || !frame) return;
+    this.onPainted(now);
+    const { frame: newest } = session;
+    if (!this._fresh || !newest) return;
     this._fresh = false;
-    this.pace.paint(now, frame, session.freshness.minDelay);
-    session.history.latencies[frame.place] = this.pace.latency;
+    this.pace.paint(now, newest, session.freshness.minDelay);
+    session.history.latencies[newest.place] = this.pace.latency;
     document.documentElement.dataset.painted = String(this.pace.painted);
     session.painted();
   }
 
   /** Write values in the cells of the frame that is shown. */
   write() {
-    if (this.session?.frame) this.maps.write(this.session.frame, this.range, this.view);
+    if (this.frame) this.maps.write(this.frame, this.range, this.view);
   }
 
   /** Paint at once what is shown, for a picture of it. */
@@ -163,7 +214,13 @@ export class Viewer {
     this.maps.layout();
     this.regions?.layout(this.maps.zoom);
     this.maps.paint(frame, this.range, colormap, this.marks, this.shear, this.view);
+    if (this.session) this._drawPath(this.session);
     this.write();
+  }
+
+  /** @param {Session|PlaybackSession} session */
+  _drawPath(session) {
+    this.maps.drawPath(this.path ? session.history : null, placeOf(session), session.plane);
   }
 
   /** @param {Frame} frame @param {Session|PlaybackSession} session */
@@ -177,7 +234,7 @@ export class Viewer {
     if (contacts !== this._found) marks.contacts = contacts?.slice(0, MAX_ROWS) ?? null;
     this._found = contacts;
     for (const each of marks.contacts ?? []) if (!marks.labels.has(each.id)) marks.labels.set(each.id, this._labelOf(each)); // a new one
-    marks.outline.update(frame, session.plane, marks.contacts);
+    marks.outline.update(frame, session.plane, contacts, MAX_ROWS);
     marks.outlined = marks.contacts?.length ? frame.sequence : -1;
   }
 
@@ -188,7 +245,7 @@ export class Viewer {
    * @returns {Float32Array|null} of each restored cell
    */
   _deviation(frame, session, now) {
-    if (!this.sectionSeen) return null;
+    if (!this.sectionSeen || this.held.kind !== "now") return null;
     if (!session.paused) session.deviations.request(frame, now);
     const deviation = session.deviations.at(frame.timestamp);
     return deviation && unitOf(deviation.unit) === frame.unit ? deviation.values : null;
@@ -243,6 +300,7 @@ export class Viewer {
     this.marks.contacts = this._found = null;
     this.pace.reset();
     this.probe.clear();
+    this.held.reset();
     for (const range of this.ranges) range.reset();
     this.maps.clear();
     for (const each of [this.section, this.forces, this.latencies]) each.chart.clear();
@@ -302,8 +360,8 @@ export class Viewer {
     this.view.fixRange(this.unit);
     if (this.session instanceof PlaybackSession) this._listener.onPlayback(this.session);
     const { history } = this.session;
-    this.forces.use(history, [["raw", history.rawForces], ["restored", history.restoredForces]]);
-    this.latencies.use(history, [["accent", history.latencies]]);
+    this.forces.use([["raw", history.trace.rawForces], ["restored", history.trace.restoredForces]]);
+    this.latencies.use([["accent", history.latencies]]);
     this.regions?.layout(this.maps.zoom);
     this.refresh();
     this._listener.onChange();
@@ -334,14 +392,15 @@ export class Viewer {
   /** @param {Frame} frame */
   _take(frame) {
     const { session } = this;
-    if (!session?.paused) this.range.follow(peakOf(frame), noiseOf(frame), frame.timestamp);
+    if (session) this.held.push(frame, session.plane);
+    if (!session?.paused) this.range.follow(peakOf(this.frame ?? frame), noiseOf(frame), frame.timestamp);
     this._fresh = true;
     this.refresh();
   }
 
   /** Fit an automatic range to the frame that is paused. */
   _fit() {
-    const frame = this.session?.paused ? this.session.frame : null;
+    const frame = this.session?.paused ? this.frame : null;
     if (frame) this.range.show(peakOf(frame), noiseOf(frame));
   }
 
@@ -368,6 +427,9 @@ export class Viewer {
     this._listener.onChange();
   }
 }
+
+/** @param {Session|PlaybackSession} session @returns {number} how far back in the history the frame is that it shows */
+const placeOf = (session) => (session instanceof Session ? session.back + session.freshness.heldBack : 0);
 
 /** @param {Frame} frame @returns {number} the higher peak of both images */
 const peakOf = (frame) => Math.max(frame.ofRaw.peak || 0, frame.ofRestored.peak || 0);

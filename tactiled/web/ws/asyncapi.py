@@ -1,5 +1,6 @@
 """`/api/v1/asyncapi.json`: the WebSockets in AsyncAPI 3.0, from the models that their messages are made of."""
 
+from collections.abc import Iterable
 from functools import cache
 from typing import Any
 
@@ -10,7 +11,7 @@ from pydantic.json_schema import models_json_schema
 
 from tactiled import __version__
 from tactiled.web import schemas
-from tactiled.web.ws import session
+from tactiled.web.ws import push, session
 from tactiled.web.ws.query import SensorsQuery, StreamQuery
 from tactiled.wire import LAYOUT
 
@@ -55,7 +56,7 @@ def asyncapi(request: Request) -> JSONResponse:
 @cache
 def _anywhere() -> Json:
     """The description of the service, wherever it is."""
-    models: list[type[BaseModel]] = [*(model for model, _ in MESSAGES.values()), schemas.Next]
+    models: list[type[BaseModel]] = [*(model for model, _ in MESSAGES.values()), schemas.Next, schemas.PushedFrame]
     _, defined = models_json_schema(
         [(model, "serialization") for model in models], ref_template="#/components/schemas/{model}"
     )
@@ -64,6 +65,7 @@ def _anywhere() -> Json:
     about = "Images of several sensors; every message names its own"
     several = _channel("/api/v1/stream", about, parameters(SensorsQuery))
     operations = {"showXela": _operation("send", "xela", ["xela"])}
+    operations["takeFrames"] = _operation("receive", "push", ["pushed", "pushedBytes"])
     for channel in ("sensor", "sensors"):
         operations[f"show{channel.capitalize()}"] = _operation("send", channel, ["image", *MESSAGES])
         operations[f"ask{channel.capitalize()}"] = _operation("receive", channel, ["next"])
@@ -71,7 +73,12 @@ def _anywhere() -> Json:
         "asyncapi": "3.0.0",
         "info": {"title": "tactiled", "version": __version__, "description": ABOUT},
         "defaultContentType": "application/json",
-        "channels": {"sensor": one | {"parameters": {"name": name}}, "sensors": several, "xela": _xela()},
+        "channels": {
+            "sensor": one | {"parameters": {"name": name}},
+            "sensors": several,
+            "xela": _xela(),
+            "push": _push() | {"parameters": {"name": name}},
+        },
         "operations": operations,
         "components": {"schemas": defined["$defs"], "messages": _messages()},
     }
@@ -84,6 +91,13 @@ def _xela() -> Json:
     channel = _channel("/xela", about, token, ("xela",))
     codes = [each for each in channel["x-close-codes"] if each["code"] != session.BAD_REQUEST]
     return channel | {"x-close-codes": codes}
+
+
+def _push() -> Json:
+    """The WebSocket that takes frames."""
+    about = "Frames of a sensor without `bus` and `codec`; needs the control token, and answers nothing"
+    query = {"token": parameters(StreamQuery)["token"]}
+    return _channel("/api/v1/sensors/{name}/push", about, query, ("pushed", "pushedBytes"))
 
 
 def _channel(
@@ -109,20 +123,30 @@ def _operation(action: str, channel: str, messages: list[str]) -> Json:
 
 
 def _messages() -> Json:
-    models = MESSAGES | {"next": (schemas.Next, "With flow=credit: requests the next image")}
-    image = {
-        "title": "image",
-        "summary": "One image, little-endian; with together=1 all images of a frame, one behind the other",
-        "contentType": "application/octet-stream",
-        "payload": {"type": "string", "format": "binary"},
-        "x-layout": [dict(zip(("offset", "type", "meaning"), each, strict=True)) for each in LAYOUT],
+    models = MESSAGES | {
+        "next": (schemas.Next, "With flow=credit: requests the next image"),
+        "pushed": (schemas.PushedFrame, "A frame, as in POST /api/v1/sensors/{name}/frames"),
     }
+    image = _binary(
+        "image", "One image, little-endian; with together=1 all images of a frame, one behind the other", LAYOUT
+    )
+    pushed = _binary("pushedBytes", "One frame, little-endian", push.LAYOUT)
     xelas = {"title": "xela", "summary": XELA, "payload": {"type": "object"}}
-    return {"image": image, "xela": xelas} | {
+    return {"image": image, "xela": xelas, "pushedBytes": pushed} | {
         name: {
             "title": name,
             "summary": about,
             "payload": {"$ref": f"#/components/schemas/{model.__name__}"},
         }
         for name, (model, about) in models.items()
+    }
+
+
+def _binary(title: str, about: str, layout: Iterable[tuple[object, ...]]) -> Json:
+    return {
+        "title": title,
+        "summary": about,
+        "contentType": "application/octet-stream",
+        "payload": {"type": "string", "format": "binary"},
+        "x-layout": [dict(zip(("offset", "type", "meaning"), each, strict=True)) for each in layout],
     }

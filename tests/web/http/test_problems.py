@@ -12,7 +12,7 @@ from tactiled.bus import reader
 from tactiled.config import Server, parse
 from tactiled.runtime.sensor import Sensor
 from tactiled.runtime.service import Service
-from tactiled.web.http import problems
+from tactiled.web.http import auth, problems
 from tactiled.web.server import running
 from tests.conftest import CONFIG, ask, pressed, problem, until
 from tests.web.http.raw import websocket_url
@@ -85,6 +85,14 @@ def test_a_problem_names_half_a_pair_of_utf_16_which_json_may_have():
         json.loads(problems.response(404, "bus \ud800: no such bus").body)["detail"] == "bus \\ud800: no such bus"
     )
     assert problems.close_reason("bus \ud800") == "bus \\ud800"
+
+
+def test_a_close_reason_ends_with_a_whole_word():
+    assert problems.close_reason("x" * 123) == "x" * 123
+    assert problems.close_reason("sensor 'plam': there are " + "palm, " * 30) == (
+        "sensor 'plam': there are " + "palm, " * 14 + "palm, …"
+    )
+    assert all(len(each.encode()) <= 123 for each in (auth.UNAUTHORIZED, auth.UNKNOWN, auth.READ_ONLY))
 
 
 def test_a_body_that_a_request_does_not_take_is_refused_and_changes_nothing(rig, url):

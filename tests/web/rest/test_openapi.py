@@ -94,6 +94,15 @@ def test_every_example_is_valid(openapi):
         assert jsonschema.Draft202012Validator(schema).is_valid(example), (place, example)
 
 
+def test_summaries_begin_their_descriptions(openapi):
+    summaries = [each["summary"] for _, each in operations(openapi)]
+    assert {"Undo the last tare", "Restore frames", "Watch a region no longer"} <= {*summaries}
+    for _, each in operations(openapi):
+        description = " ".join(each["description"].split())
+        assert description.startswith(each["summary"])
+        assert description[len(each["summary"])] in ".:;"
+
+
 def test_answers_as_csv_are_described(openapi):
     csv = [
         operation["responses"]["200"]["content"]

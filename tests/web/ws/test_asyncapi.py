@@ -32,7 +32,7 @@ def test_its_server_is_the_service_openapi_names_it_and_every_message_and_refere
     assert document["asyncapi"] == "3.0.0"
     assert document["servers"]["here"] == {"host": url.removeprefix("http://"), "protocol": "ws"}
     assert "(asyncapi.json)" in ask("GET", url + "/api/v1/openapi.json").json()["info"]["description"]
-    assert {*document["components"]["messages"]} == {*MESSAGES, "image", "next", "xela"}
+    assert {*document["components"]["messages"]} == {*MESSAGES, "image", "next", "xela", "pushed", "pushedBytes"}
     references = re.findall(r'"\$ref": "#/([^"]+)"', json.dumps(document))
     assert len(references) > 20
     for reference in references:

@@ -4,10 +4,11 @@ import json
 import threading
 import time
 from collections import Counter
-from contextlib import ExitStack
+from contextlib import ExitStack, closing
 
 import numpy as np
 import pytest
+import websocket
 from websockets.client import ClientProtocol
 from websockets.frames import Opcode
 
@@ -19,8 +20,9 @@ from tactiled.web.server import running
 from tactiled.web.ws import feed, session
 from tactiled.web.ws.feed import Feed
 from tactiled.web.ws.stream import Stream, due_after
+from tactiled.wire import unpack
 from tests.conftest import BUSY_S, GAIN, NO_LOAD, pressed, until
-from tests.web.http.raw import UPGRADE, bound, plug, read_all
+from tests.web.http.raw import UPGRADE, bound, plug, read_all, websocket_url
 from tests.web.ws.clients import NEXT, ONE, images, stream, text, text_of, texts, unpack_all
 
 IN_FLIGHT = 10  # messages that may be on their way to a client that does not read
@@ -202,6 +204,16 @@ def test_the_images_of_a_frame_may_come_in_one_message(rig, url):
             assert one._replace(values=0, flags=0, made_at=0) == alone._replace(values=0, flags=0, made_at=0)
             np.testing.assert_array_equal(one.values, alone.values)
             np.testing.assert_array_equal(one.flags, alone.flags)
+
+
+def test_a_slow_client_gets_the_newest_frame_once_it_has_read_the_one_before(rig, url, monkeypatch):
+    monkeypatch.setattr(protocols, "LATE_S", 0.0)
+    with closing(websocket.create_connection(websocket_url(url, f"{ONE}?kinds=raw"))) as client:  # reads not ahead
+        for unread in (1, 4, 4):
+            for at in range(unread):
+                rig.show(pressed(at))
+            data = next(data for data in iter(client.recv, None) if isinstance(data, bytes))
+            assert unpack(data).sequence == rig.sequence
 
 
 def unread(url):
