@@ -10,9 +10,10 @@ from tactiled.calibrate.health import Fault
 from tactiled.calibrate.sections import NoLoadSection, utc
 from tactiled.config import parse
 from tactiled.contacts.regions import Region, RegionMeter
+from tactiled.diagnostics.checks import CHECK_EVERY_FRAMES, CHECKS_IN_A_ROW
 from tactiled.diagnostics.warning_codes import warning
 from tactiled.frames import BAD, BELOW_ZERO, DEAD, FAULTY, MISSING, SATURATED, FrameWarning
-from tactiled.geometry import tiling
+from tactiled.geometry import grid, tiling
 from tactiled.runtime import pipeline as module
 from tactiled.runtime.noise import NOISE_FRAMES
 from tactiled.runtime.pipeline import Deadline, Pipeline
@@ -137,6 +138,21 @@ def test_after_a_tare_under_a_load_what_it_left_is_unknown_and_nothing_else(make
         played = playback.image(number, "auto")
         assert np.isnan(played.restored[3:5, 3:5]).all() == (number == 0)
         assert ("below_zero" in {each.code for each in played.warnings}) == (number == 0)
+
+
+def test_what_lies_beyond_the_array_explains_a_frame(make, plan):
+    """Without it the rim of a contact over the edge reads as damaged taxels."""
+    surface = Surface(plan.kernel, grid(SIDE, 3 * SIDE, 1.0, plan.array.width))
+    felt = surface.sense(300.0 * (np.hypot(surface.x + SIDE / 2 + 1, surface.y) < 2.4))
+    pressure = felt.reshape(SIDE, 3 * SIDE)[:, SIDE : 2 * SIDE]
+    counts = np.round(UNLOADED + (pressure + np.random.default_rng(7).normal(0, 0.5, SHAPE)) / GAIN)
+    pipeline = make("nnls")
+    for n in range(CHECK_EVERY_FRAMES * CHECKS_IN_A_ROW):
+        image = pipeline.process(frame(n, counts))
+    recording = MagicMock(frame=lambda _, number: frame(number, counts))
+    playback = Playback(pipeline._plan, pipeline.zero, recording, ())
+    for warnings in (image.warnings, playback.warnings(n, "nnls")):
+        assert [each.code for each in warnings] == ["edge"]
 
 
 def test_saturated_taxels_have_a_warning(make):
