@@ -23,7 +23,7 @@ from tactiled.restore.prior import Spectrum
 MAX_KEPT_VALUES = 1 << 22  # of all matrices of one kind that are kept: 16 MB
 MAX_COVARIANCE_TAXELS = 1024  # inferred ones of which the deviation knows: their matrix has 8 MB
 ROUGHNESS_TAXELS = 1.0  # standard deviation of the Gaussian that `smooth` weighs with
-FIRM = 1e-4  # of gain squared: modes that keep less than a hundredth are not asked of the taxels
+FIRM = 1e-6  # of gain squared: modes that keep less than a thousandth are not asked of the taxels
 
 
 class Kriging(Protocol):

@@ -1,0 +1,74 @@
+"""What completes frames, against the same by dense matrices."""
+
+import numpy as np
+import pytest
+
+from tactiled.restore.kriging import Gaps
+from tactiled.restore.scene import Scene
+
+SIGMA = 0.5
+
+
+@pytest.fixture(params=["a grid", "finer cells", "no grid"])
+def scene(covered, request):
+    """Of 6 x 6 taxels, on a surface that goes on beyond them."""
+    refine, layout = {"a grid": (1, False), "finer cells": (2, False), "no grid": (1, True)}[request.param]
+    scene = Scene(covered((6, 6), 1.5, refine, layout, beyond=True), SIGMA)
+    scene.gain_variance[...] = 0  # nothing but noise and the spectrum
+    scene.spectrum = scene.prior.spectra[len(scene.prior.spectra) // 2]
+    return scene
+
+
+def normal(scene):
+    """What taxels feel (N, M) by the modes, and the pressure's covariance (M, M), over the noise's variance."""
+    modes, wide = scene.modes, scene.array.wide
+    V, U = np.kron(*modes.surface), np.kron(*modes.taxel)
+    if wide.felt is None:
+        there = wide.covered.ravel()
+        felt = (U * modes.gain.ravel())[there] @ V.T
+    else:
+        felt = wide.felt
+    return felt, (V * scene.spectrum.ratio.ravel()) @ V.T
+
+
+def test_the_linear_image_of_a_completed_frame_is_the_mean_given_the_frame(scene):
+    felt, S = normal(scene)
+    y = np.random.default_rng(1).normal(0, 5, scene.array.frame_shape).astype(np.float32)
+    expected = S @ felt.T @ np.linalg.solve(felt @ S @ felt.T + np.eye(len(felt)), y.ravel())
+    modes, ratio = scene.modes, scene.spectrum.ratio
+    c = modes.taxel[0].T @ scene.kriging(y, scene.spectrum) @ modes.taxel[1]
+    linear = modes.surface[0] @ (modes.gain * ratio / (modes.gain**2 * ratio + 1) * c) @ modes.surface[1].T
+    assert np.linalg.norm(linear.ravel() - expected) < 0.01 * np.linalg.norm(expected)
+
+
+def test_the_precision_of_a_taxel_is_that_by_the_others(scene):
+    felt, S = normal(scene)
+    expected = np.linalg.inv(felt @ S @ felt.T + np.eye(len(felt)))
+    shape = scene.array.frame_shape
+    each = np.eye(len(felt), dtype=np.float32).reshape(-1, *shape)
+    ours = np.array([scene.kriging.precise(one, scene.spectrum).ravel().copy() for one in each])
+    np.testing.assert_allclose(ours, expected, atol=1e-3 * expected.max())
+    np.testing.assert_allclose(scene.kriging.precision(scene.spectrum).ravel(), expected.diagonal(), rtol=1e-2)
+
+
+@pytest.mark.parametrize("missing", [0, 3])
+def test_what_no_taxel_reads_is_in_the_variance(scene, missing):
+    felt, S = normal(scene)
+    lost = np.zeros(scene.array.frame_shape, bool)
+    lost.flat[7 : 7 + missing] = True
+    known = felt[~lost.ravel()]
+    exact = S - S @ known.T @ np.linalg.solve(known @ S @ known.T + np.eye(len(known)), known @ S)
+    modes, ratio = scene.modes, scene.spectrum.ratio
+    full = [basis**2 for basis in modes.surface]
+    of_full = full[0] @ (ratio / (modes.gain**2 * ratio + 1)) @ full[1].T
+    gaps = Gaps(lost, np.zeros(missing), np.ones(lost.shape)) if missing else None
+    ours = of_full + scene.kriging.unfelt(scene.spectrum, gaps)
+    np.testing.assert_allclose(ours.ravel(), exact.diagonal(), rtol=0.03)
+
+
+def test_no_spectrum_costs_memory_without_end(covered, monkeypatch):
+    monkeypatch.setattr("tactiled.restore.kriging.MAX_KEPT_VALUES", 3 * 28 * 36)
+    scene = Scene(covered((6, 6), 1.5, beyond=True), SIGMA)
+    for spectrum in scene.prior.spectra[:9]:
+        scene.kriging(np.ones((6, 6), np.float32), spectrum)
+    assert len(scene.kriging._matrices) <= 3
