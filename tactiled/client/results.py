@@ -1,7 +1,7 @@
 """What requests of the client return: frozen values, and how they are read from an answer."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, is_dataclass
+from dataclasses import MISSING, dataclass, fields, is_dataclass
 from http.client import HTTPMessage
 from io import BytesIO
 from typing import Any, get_args, get_type_hints
@@ -33,6 +33,7 @@ class Contact:
     major_mm: float  # standard deviation of the pressure along its longer axis
     minor_mm: float
     angle_rad: float  # of the longer axis from x towards y, -pi/2 to pi/2
+    cut_off: bool = False  # it reaches the border of the array: what presses beyond is not in its force
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,7 +135,11 @@ def parse(kind: Any, data: Any) -> Any:
     Keys that the type lacks are left out; LookupError or TypeError where the JSON has not what it needs.
     """
     if isinstance(kind, type) and is_dataclass(kind):
-        return kind(**{name: parse(each, data[name]) for name, each in get_type_hints(kind).items()})
+        defaults = {field.name for field in fields(kind) if field.default is not MISSING}  # of older services
+        named = (
+            (name, each) for name, each in get_type_hints(kind).items() if name in data or name not in defaults
+        )
+        return kind(**{name: parse(each, data[name]) for name, each in named})
     if data is None:
         return np.nan if kind is float else None
     if isinstance(data, list):

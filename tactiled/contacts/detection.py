@@ -45,6 +45,7 @@ class Contact:
     major_mm: float  # standard deviation of the pressure along its longer axis
     minor_mm: float
     angle_rad: float  # of the longer axis from x towards y, -pi/2 to pi/2
+    cut_off: bool = False  # it reaches where the cover goes on beyond the array: what presses there is not in it
 
 
 class Finder:
@@ -62,6 +63,7 @@ class Finder:
         order = np.lexsort((np.linalg.norm(offset, axis=1), owner))
         first = order[np.searchsorted(owner[order], np.arange(len(cells.areas)))]
         self._middle = row[first], column[first]  # of each cell, the square at its middle
+        self._border = cells.rim & ~_ends(array, cells)
         self._squares_a_cell = max(1, round(float(np.sqrt(np.median(cells.areas))) / cells.side))
         self._near = 2 * round(NEAR_PITCHES * array.pitch / cells.side) + 1  # squares
         self.parts: Labels = np.zeros(self._cell.shape, np.int64)  # squares of the last image by contact, 0: none
@@ -135,7 +137,20 @@ class Finder:
             major_mm=float(major),
             minor_mm=float(minor),
             angle_rad=float(angle),
+            cut_off=bool(self._border[pressed].any()),
         )
+
+
+def _ends(array: Array, cells: Cells) -> NDArray[np.bool_]:
+    """Cells (M,) at a side of the array where nothing of the cover is beyond it."""
+    ends = np.zeros(len(cells.areas), bool)
+    if array.beyond is not None:
+        (left, above), (right, below) = cells.positions.min(axis=0), cells.positions.max(axis=0)
+        sides = ((1, above), (1, below), (0, left), (0, right))
+        for beyond, (axis, at) in zip(array.beyond, sides, strict=True):
+            if beyond == 0:
+                ends |= np.abs(cells.positions[:, axis] - at) < cells.side / 2
+    return ends
 
 
 def _split(picture: Floats, pressed: NDArray[np.bool_], highest: Floats, least: float, was: Labels) -> Labels:

@@ -203,6 +203,7 @@ class Contact(Schema):
     major_mm: float = Field(description="standard deviation of the pressure along its longer axis")
     minor_mm: float
     angle_rad: float = Field(description="of the longer axis from x towards y, -pi/2 to pi/2")
+    cut_off: bool = Field(description="it reaches the border: what presses beyond is not in its force")
 
 
 class Contacts(FrameId, Message):

@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -96,6 +98,16 @@ def test_axes_and_angle_on_refined_cells():
     assert contact.angle_rad == pytest.approx(0.5, abs=0.02)
     assert 2 < contact.major_mm / contact.minor_mm < 3.5
     assert contact.force == pytest.approx(100 * 2 * np.pi * 3 * 1e-3, rel=0.11)  # less the skirt under a tenth
+
+
+@pytest.mark.parametrize(("row", "beyond", "expected"), [
+    (0, None, True), (5, None, False), (0, (0.0, 2.0, 2.0, 2.0), False), (SIDE - 2, (0.0, 2.0, 2.0, 2.0), True),
+])  # fmt: skip
+def test_a_contact_at_the_border_is_cut_off_where_the_cover_goes_on(row, beyond, expected):
+    image = np.zeros((SIDE, SIDE), np.float32)
+    image[row : row + 2, 6:9] = 50
+    (contact,) = Finder(replace(ARRAY, beyond=beyond), tiling(ARRAY))(image, 0.1)
+    assert contact.cut_off == expected
 
 
 def test_what_rings_below_zero_around_a_contact_does_not_shrink_it(find):

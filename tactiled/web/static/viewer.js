@@ -161,8 +161,8 @@ export class Viewer {
   }
 
   /** @param {Contact} contact @returns {string} */
-  _labelOf({ id, force }) {
-    return `${id}: ${forceText(force, this.unit)}`;
+  _labelOf({ id, force, cut_off }) {
+    return `${id}: ${cut_off ? "≥ " : ""}${forceText(force, this.unit)}`;
   }
 
   /** @param {number} now ms */
