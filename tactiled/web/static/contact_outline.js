@@ -10,7 +10,7 @@ import { FORCE_SCALES } from "./units.js";
 /** @import { Plane } from "./geometry.js" */
 /** @import { Contact } from "./sensor_stream.js" */
 
-/** @typedef {{force: number, x: number, y: number, near: Set<number>}} Part cells that hang together; `near` are contacts, by their number */
+/** @typedef {{force: number, x: number, y: number, near: Set<number>|null}} Part cells that hang together; `near` are contacts, by their number */
 
 const CLEAR_DEVIATIONS = 5; // of the noise from which a cell is pressed, and
 const PEAK_SHARE = 0.1; // of its contact's peak: as the service's contacts have it
@@ -59,12 +59,16 @@ function nearest(shapes, x, y, of) {
 
 /** @param {Part[]} parts @param {Contact[]} contacts @param {number} pitch mm @returns {number[]} by part, the contact that it is; -1 for none */
 function match(parts, contacts, pitch) {
-  const pairs = parts.flatMap((part, p) => contacts.map((each, n) => {
-    const apart = Math.hypot(part.x - each.x_mm, part.y - each.y_mm) / pitch;
-    const ratio = Math.abs(Math.log(part.force / each.force));
-    return { p, n, apart, ratio };
-  })).filter(({ apart, ratio }) => apart <= SAME_PITCHES && ratio <= Math.log(SAME_RATIO));
-  const owned = parts.map(() => -1);
+  const pairs = [];
+  const owned = [];
+  for (let p = 0; p < parts.length; p += 1) {
+    owned.push(-1);
+    for (let n = 0; n < contacts.length; n += 1) {
+      const apart = Math.hypot(parts[p].x - contacts[n].x_mm, parts[p].y - contacts[n].y_mm) / pitch;
+      const ratio = Math.abs(Math.log(parts[p].force / contacts[n].force));
+      if (apart <= SAME_PITCHES && ratio <= Math.log(SAME_RATIO)) pairs.push({ p, n, apart, ratio });
+    }
+  }
   const taken = new Set();
   for (const { p, n } of pairs.sort((a, b) => a.apart + a.ratio - b.apart - b.ratio)) {
     if (owned[p] >= 0 || taken.has(n)) continue;
@@ -120,7 +124,11 @@ export class ContactOutline {
       this._weights = new Float32Array(n);
       this._shapes = new Float64Array(SHAPE * n);
     }
-    for (const each of [this.cells, this.outlined, this.extents, this.centres, this._weights]) each.fill(0);
+    this.cells.fill(0);
+    this.outlined.fill(0);
+    this.extents.fill(0);
+    this.centres.fill(0);
+    this._weights.fill(0);
     if (!contacts || !n) return;
     const { count, side, rows, columns } = plane.restored;
     this.side = side;
@@ -132,7 +140,7 @@ export class ContactOutline {
     }
     this._owners.fill(0);
     const noise = CLEAR_DEVIATIONS * (frame.noise || 0) * (frame.noiseGain || 1);
-    if (plane.isGrid) this._own(frame, plane, contacts.slice(0, n), noise);
+    if (plane.isGrid) this._own(frame, plane, contacts.length > n ? contacts.slice(0, n) : contacts, noise);
     else for (let i = n; i > 0; i -= 1) this._claim(frame.restored, plane, contacts[i - 1], i, noise);
     this._centre(frame.restored, plane);
     if (plane.isGrid) this._findEdges(rows, columns, marked);
@@ -171,7 +179,7 @@ export class ContactOutline {
   _own({ restored: values, unit = 0 }, { restored: { x, y, count, rows, columns, area }, pitch }, contacts, floor) {
     const { _owners: owners, _parts: parts, _queue: queue, _shapes: shapes } = this;
     parts.fill(0);
-    contacts.forEach((each, n) => shape(each, shapes, n));
+    for (let n = 0; n < contacts.length; n += 1) shape(contacts[n], shapes, n);
     for (let i = 0; i < count; i += 1) {
       if (!(values[i] > floor)) continue;
       const near = nearest(shapes, x[i], y[i], null);
@@ -181,7 +189,8 @@ export class ContactOutline {
     const found = [];
     for (let first = 0; first < count; first += 1) {
       if (!owners[first] || parts[first]) continue;
-      const part = { force: 0, x: 0, y: 0, near: new Set() };
+      /** @type {Part} */
+      const part = { force: 0, x: 0, y: 0, near: null };
       found.push(part);
       parts[first] = found.length;
       queue[0] = first;
@@ -206,18 +215,19 @@ export class ContactOutline {
       part.y /= part.force;
     }
     const owned = match(found, contacts, pitch);
-    const left = new Set(contacts.keys());
-    for (const each of owned) left.delete(each);
-    for (let i = 0; i < count; i += 1) {
-      if (!owners[i] || owned[parts[i] - 1] >= 0 || !left.size) continue;
+    /** @type {Set<number>} */
+    const left = new Set();
+    for (let n = 0; n < contacts.length; n += 1) if (!owned.includes(n)) left.add(n);
+    for (let i = 0; i < count && left.size; i += 1) {
+      if (!owners[i] || owned[parts[i] - 1] >= 0) continue;
       const near = nearest(shapes, x[i], y[i], left);
-      if (distance(shapes, near, x[i], y[i]) <= WITHIN_DEVIATIONS) found[parts[i] - 1].near.add(near);
+      if (distance(shapes, near, x[i], y[i]) <= WITHIN_DEVIATIONS) (found[parts[i] - 1].near ??= new Set()).add(near);
     }
     for (let i = 0; i < count; i += 1) {
       if (!owners[i]) continue;
       const part = parts[i] - 1;
       const { near } = found[part];
-      owners[i] = owned[part] >= 0 ? owned[part] + 1 : near.size ? nearest(shapes, x[i], y[i], near) + 1 : 0;
+      owners[i] = owned[part] >= 0 ? owned[part] + 1 : near ? nearest(shapes, x[i], y[i], near) + 1 : 0;
     }
   }
 

@@ -5,7 +5,7 @@ import { roundUp, steadyTop } from "./display_range.js";
 
 /** @import { Axes, Line } from "./chart.js" */
 
-const MAX_POINTS = 2048; // of a line: of more, the lowest and the highest of each piece are drawn
+const MAX_POINTS = 2304; // of a line: of more, the lowest and the highest of each piece are drawn
 
 /**
  * Values in rings, as of a FrameHistory or ForceTrace.
@@ -61,11 +61,10 @@ export class TrendChart {
     let lowest = 0;
     for (let k = 0; k < this._lines.length; k += 1) {
       const of = this._lines[k];
-      fill(of, rings, this._values[k], Math.min(rings.length - 1, first), Math.max(0, last - 1), newest);
-      for (let i = 0; i < of.length; i += 1) {
-        if (of.y[i] > highest) highest = of.y[i];
-        if (of.y[i] < lowest) lowest = of.y[i];
-      }
+      of.zero = newest;
+      fill(of, rings, this._values[k], Math.min(rings.length - 1, first), Math.max(0, last - 1));
+      highest = Math.max(highest, highestOf(of));
+      lowest = Math.min(lowest, lowestOf(of));
     }
     axes.left = left;
     axes.right = right;
@@ -92,12 +91,13 @@ export function backAt(rings, time) {
  * @param {Float64Array} values
  * @param {number} first how far back the oldest of them is
  * @param {number} last the newest
- * @param {number} zero Unix s, that is drawn as 0
  */
-function fill(into, rings, values, first, last, zero) {
+function fill(into, rings, values, first, last) {
+  const { times } = rings;
+  const { x, y } = into;
   const count = rings.length ? first - last + 1 : 0;
   const step = Math.max(1, Math.ceil((3 * count) / MAX_POINTS));
-  into.length = 0;
+  let length = 0;
   for (let back = first; back >= last && count > 0; back -= step) {
     let low = rings.place(back);
     let high = low;
@@ -108,17 +108,33 @@ function fill(into, rings, values, first, last, zero) {
       if (values[at] < values[low] || Number.isNaN(values[low])) low = at;
       if (values[at] > values[high] || Number.isNaN(values[high])) high = at;
     }
-    const one = rings.times[low] <= rings.times[high] ? low : high;
+    const one = times[low] <= times[high] ? low : high;
     const other = one === low ? high : low;
-    add(into, rings.times[one] - zero, values[one]);
-    if (other !== one) add(into, rings.times[other] - zero, values[other]);
-    if (gap) add(into, rings.times[other] - zero, NaN);
+    x[length] = times[one];
+    y[length++] = values[one];
+    if (other !== one) {
+      x[length] = times[other];
+      y[length++] = values[other];
+    }
+    if (gap) {
+      x[length] = times[other];
+      y[length++] = NaN;
+    }
   }
+  into.length = length;
 }
 
-/** @param {Line} into @param {number} x @param {number} y */
-function add(into, x, y) {
-  into.x[into.length] = x;
-  into.y[into.length] = y;
-  into.length += 1;
+// Functions of their own, which browsers compile sooner than what calls them: every value read before is an object.
+/** @param {Line} of @returns {number} */
+function highestOf({ y, length }) {
+  let highest = -Infinity;
+  for (let i = 0; i < length; i += 1) if (y[i] > highest) highest = y[i];
+  return highest;
+}
+
+/** @param {Line} of @returns {number} */
+function lowestOf({ y, length }) {
+  let lowest = Infinity;
+  for (let i = 0; i < length; i += 1) if (y[i] < lowest) lowest = y[i];
+  return lowest;
 }
