@@ -14,6 +14,7 @@ THIN_BEYOND, THIN_PITCHES = 1, 0.75  # the same under a cover that is thinner th
 APERTURE = 0.8  # of a cell: what the model has on each where the taxels are elsewhere, as in training
 PARTS = 4  # squares along a cell, of which a taxel elsewhere feels each
 CELLS_A_PITCH = 2  # where the taxels are no grid
+MAX_BEYOND_VALUES = 1 << 22  # of a grid: taxels beyond it times its own, as 64 x 64 have
 MAX_CELLS, MAX_VALUES = 4096, 1 << 20  # of a surface with taxels elsewhere: it, and times the taxels
 
 
@@ -31,7 +32,8 @@ def make(kernel: Kernel, array: Array, refine: int) -> Wide | None:
     taxels = slice(above, above + array.shape[0]), slice(left, left + array.shape[1])
     wide = grid(*wide_shape, array.pitch, array.width, array.aperture)
     if refine == 1:
-        return Wide(_grid_blur(kernel, wide), taxels) if any(beyond) else None
+        values = (wide.size - array.size) * array.size
+        return Wide(_grid_blur(kernel, wide), taxels) if 0 < values <= MAX_BEYOND_VALUES else None
     cells = refine**2 * wide.size
     if cells > MAX_CELLS or cells * array.size > MAX_VALUES:
         return None

@@ -17,7 +17,7 @@ export   Restore every frame of recordings into arrays, tables, or files for Fox
 init     Write a commented configuration.
 paper    Reproduce the figures of Shimojo's paper, and compare its statements with both models.
 record   Record all messages of a bus to a file, also of other devices, and error frames.
-restore  Restore the frames of .npy files, however many, with bounded memory.
+restore  Restore the frames of .npy and .csv files, however many, with bounded memory.
 simulate Simulate a covered array on a bus (32 x 32 without --config).
 serve    Serve the sensors that `run --publish` publishes on a Zenoh network; reads no bus.
 sniff    List the known skins on a bus, or in a recording; sends nothing.

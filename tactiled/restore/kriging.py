@@ -11,6 +11,8 @@ the frame whose linear image, V S h / (h^2 S + 1) U' f, is the mean of the press
 some of the grid's own, f is y on these, and on the others what these say of them. All is in units of the noise.
 """
 
+from dataclasses import replace
+from math import log
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -20,7 +22,9 @@ from tactiled.restore.blur import Blur
 from tactiled.restore.modes import Floats, Image, Modes, Transform
 from tactiled.restore.prior import Spectrum
 
-MAX_KEPT_VALUES = 1 << 22  # of all matrices of one kind that are kept: 16 MB
+MAX_KEPT_VALUES = 1 << 24  # of all matrices of one kind that are kept: 64 MB
+FEW_VALUES = 1 << 19  # of a matrix: a larger one takes 20 ms and more, so spectra of near levels share it
+LEVEL_STEP = 64.0  # between the levels of these
 MAX_COVARIANCE_TAXELS = 1024  # inferred ones of which the deviation knows: their matrix has 8 MB
 ROUGHNESS_TAXELS = 1.0  # standard deviation of the Gaussian that `smooth` weighs with
 FIRM = 1e-6  # of gain squared: modes that keep less than a thousandth are not asked of the taxels
@@ -82,6 +86,7 @@ class Part(Kriging):
         self._reading = np.empty(blur.frame_shape, np.float32)
         self._inferred = np.empty(len(self._missing), np.float32)
         self._matrices: dict[Spectrum, NDArray[Any]] = {}
+        self._levels: dict[tuple[float, float, int], Spectrum] = {}
         self._lowered: dict[Spectrum, NDArray[Any]] = {}  # Q_kk's diagonal, as the others are not there
         whole = not len(self._missing)
         sides = zip(modes.taxel, blur.frame_shape, strict=True)
@@ -100,7 +105,7 @@ class Part(Kriging):
             return y
         np.copyto(self._inside, y)
         np.copyto(self._reading, y)
-        self._matrix(spectrum).dot(self._reading.reshape(-1), self._inferred)
+        self._matrix(self._shared(spectrum)).dot(self._reading.reshape(-1), self._inferred)
         self._flat[self._missing] = self._inferred
         return self._frame
 
@@ -116,10 +121,12 @@ class Part(Kriging):
 
     def precise(self, y: Image, spectrum: Spectrum) -> Image:
         """Give C^-1 y."""
+        spectrum = self._shared(spectrum)
         return self._apply(np.asarray(1 / self._variance(spectrum), np.float32), self(y, spectrum))
 
     def precision(self, spectrum: Spectrum) -> Floats:
         """Give the diagonal of C^-1, of the frame's shape."""
+        spectrum = self._shared(spectrum)
         values = np.asarray(1 / self._variance(spectrum), np.float32)
         diagonal = self._squares(values, self._squares.empty())[self._own].astype(float)
         if len(self._missing):
@@ -161,6 +168,16 @@ class Part(Kriging):
         """Variance v of every taxel mode: h^2 S + 1, and what the model's error adds."""
         S = spectrum.ratio[self._modes.head]
         return np.asarray(self._modes.gain**2 * S + 1 + self._gain_variance * S)
+
+    def _shared(self, spectrum: Spectrum) -> Spectrum:
+        """Give the one by whose matrix a spectrum's frames are completed: itself where that is made in no time."""
+        if len(self._missing) * len(self._known) <= FEW_VALUES:
+            return spectrum
+        step = round(log(spectrum.level, LEVEL_STEP))
+        key = spectrum.corner, spectrum.power, step
+        if key not in self._levels:
+            self._levels[key] = replace(spectrum, level=LEVEL_STEP**step)
+        return self._levels[key]
 
     def _matrix(self, spectrum: Spectrum) -> Image:
         """-Q_mm^-1 Q_mk of a spectrum, made when that is first met."""

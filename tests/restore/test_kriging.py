@@ -66,6 +66,18 @@ def test_what_no_taxel_reads_is_in_the_variance(scene, missing):
     np.testing.assert_allclose(ours.ravel(), exact.diagonal(), rtol=0.03)
 
 
+def test_a_frame_is_the_same_whatever_was_restored_before_it(covered, monkeypatch):
+    """Where near spectra share a matrix it is of a fixed one, not of the one that was met first."""
+    monkeypatch.setattr("tactiled.restore.kriging.FEW_VALUES", 0)
+    fresh, used = (Scene(covered((6, 6), 1.5, beyond=True), SIGMA) for _ in range(2))
+    y = np.random.default_rng(1).normal(0, 5, (6, 6)).astype(np.float32)
+    for spectrum in used.prior.spectra:
+        used.kriging(y, spectrum)
+    assert len(used.kriging._matrices) < len(used.prior.spectra) / 2
+    for spectrum in fresh.prior.spectra[::-7]:
+        np.testing.assert_array_equal(fresh.kriging(y, spectrum), used.kriging(y, spectrum))
+
+
 def test_no_spectrum_costs_memory_without_end(covered, monkeypatch):
     monkeypatch.setattr("tactiled.restore.kriging.MAX_KEPT_VALUES", 3 * 28 * 36)
     scene = Scene(covered((6, 6), 1.5, beyond=True), SIGMA)
