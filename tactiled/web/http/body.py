@@ -8,12 +8,15 @@ from starlette.types import Message, Receive, Scope
 
 from tactiled.calibrate.calibration_file import MAX_BYTES
 from tactiled.interop.signatures import SAFE_METHODS
+from tactiled.threads import give_back_heaps
 from tactiled.web.http.problems import SOON, Problem
 
 MAX_BODY_BYTES = 64 << 10  # no request but an upload needs as much
 MAX_UPLOAD_BYTES = 64 << 20
 BODY_TIMEOUT_S = 60.0
 MAX_HELD_BYTES = 32 << 20  # of all bodies that are held until they are complete and answered
+MANY_HELD_BYTES = 8 << 20  # of which the heaps keep two or three times as much between blocks in use
+FREED_S = 1.0  # after the last of them, when nothing refers to them any more
 UPLOAD_PATH = "/api/v1/restore"
 MAX_RECORDING_BYTES = 1 << 30  # 44 min of 32 x 32 taxels at 100 Hz as .log
 RECORDING_TIMEOUT_S = 600.0  # 1.8 MB/s
@@ -28,14 +31,19 @@ def is_recording(scope: Scope) -> bool:
 
 
 class HeldBodies:
-    """The bytes of bodies, of which the largest that is incomplete gives way when they are too many."""
+    """The bytes of bodies, of which the largest that is incomplete gives way when they are too many.
+
+    After the last of many their memory goes back to the system.
+    """
 
     def __init__(self) -> None:
         self._sizes: dict[Body, int] = {}
+        self._many = False  # were held since memory was given back
 
     def add(self, body: "Body", size: int) -> None:
         """Count more bytes of one."""
         self._sizes[body] = self._sizes.get(body, 0) + size
+        self._many |= sum(self._sizes.values()) > MANY_HELD_BYTES
         while sum(self._sizes.values()) > MAX_HELD_BYTES:
             if not (incomplete := [each for each in self._sizes if not each.complete]):
                 return
@@ -46,6 +54,9 @@ class HeldBodies:
     def free(self, body: "Body") -> None:
         """Forget one."""
         self._sizes.pop(body, None)
+        if self._many and not self._sizes:
+            self._many = False
+            asyncio.get_running_loop().call_later(FREED_S, give_back_heaps)
 
 
 class Body:

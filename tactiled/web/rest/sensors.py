@@ -114,6 +114,7 @@ def push(sensor: NamedSensor, service: CurrentService, frame: schemas.PushedFram
 
     For more than a few frames a second use `WS /api/v1/sensors/{name}/push`: here every frame counts as a change.
     """
+    service.need_pushed(sensor.name)  # says so of any values
     try:
         number = service.push(sensor.name, as_array(frame.values), frame.sequence, frame.time)
     except BusError as error:
