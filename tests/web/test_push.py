@@ -125,6 +125,7 @@ def test_a_program_that_pushes_as_fast_as_it_can_waits_and_images_stay_new(servi
         ({"values": [1.0] * 15, "sequence": -1}, "pad", 422, "sequence = -1"),
         ({"values": [1.0] * 15, "time": 1e12}, "pad", 422, "time = 1000000000000.0"),
         ({"values": [1e31] * 15}, "pad", 422, "values"),
+        ({"values": [1.0] * 15}, "palm", 409, "sensor 'palm': reads bus can0"),
         ({"values": [[1.0] * 5, [1.0] * 4]}, "palm", 409, "sensor 'palm': reads bus can0"),
     ],
 )
