@@ -23,7 +23,7 @@ def limit_heaps() -> None:
 
 
 def give_back_heaps() -> None:
-    """Return what is free in the heaps to the system, which takes milliseconds; nothing where this is not glibc."""
+    """Return what is free in the heaps to the system, in milliseconds; nothing where this is not glibc."""
     with suppress(AttributeError):
         ctypes.CDLL(None).malloc_trim(0)
 
