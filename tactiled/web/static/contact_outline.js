@@ -57,25 +57,49 @@ function nearest(shapes, x, y, of) {
   return best;
 }
 
+/** @typedef {{p: number, n: number, off: number}} Pair a part and a contact, and how unlike they are */
+
+// Of the last match, and used again in the next: a painted frame leaves little to collect.
+/** @type {Pair[]} */
+const POOL = [];
+/** @type {Pair[]} */
+const PAIRS = [];
+/** @type {number[]} */
+const OWNED = [];
+/** @type {Set<number>} */
+const TAKEN = new Set();
+
 /** @param {Part[]} parts @param {Contact[]} contacts @param {number} pitch mm @returns {number[]} by part, the contact that it is; -1 for none */
 function match(parts, contacts, pitch) {
-  const pairs = [];
-  const owned = [];
+  PAIRS.length = 0;
+  OWNED.length = 0;
+  TAKEN.clear();
   for (let p = 0; p < parts.length; p += 1) {
-    owned.push(-1);
+    OWNED.push(-1);
     for (let n = 0; n < contacts.length; n += 1) {
       const apart = Math.hypot(parts[p].x - contacts[n].x_mm, parts[p].y - contacts[n].y_mm) / pitch;
       const ratio = Math.abs(Math.log(parts[p].force / contacts[n].force));
-      if (apart <= SAME_PITCHES && ratio <= Math.log(SAME_RATIO)) pairs.push({ p, n, apart, ratio });
+      if (apart > SAME_PITCHES || ratio > Math.log(SAME_RATIO)) continue;
+      const pair = (POOL[PAIRS.length] ??= { p: 0, n: 0, off: 0.5 });
+      pair.p = p;
+      pair.n = n;
+      pair.off = apart + ratio;
+      PAIRS.push(pair);
     }
   }
-  const taken = new Set();
-  for (const { p, n } of pairs.sort((a, b) => a.apart + a.ratio - b.apart - b.ratio)) {
-    if (owned[p] >= 0 || taken.has(n)) continue;
-    owned[p] = n;
-    taken.add(n);
+  PAIRS.sort(byOffset);
+  for (let i = 0; i < PAIRS.length; i += 1) {
+    const { p, n } = PAIRS[i];
+    if (OWNED[p] >= 0 || TAKEN.has(n)) continue;
+    OWNED[p] = n;
+    TAKEN.add(n);
   }
-  return owned;
+  return OWNED;
+}
+
+/** @param {Pair} a @param {Pair} b @returns {number} */
+function byOffset(a, b) {
+  return a.off - b.off;
 }
 
 export class ContactOutline {
@@ -99,6 +123,8 @@ export class ContactOutline {
     this._queue = new Uint32Array(0);
     this._shapes = new Float64Array(0); // of contacts: centre, mm, and what makes standard deviations of an offset
     this._sequence = -1;
+    /** @type {Set<number>} contacts that own no part */
+    this._left = new Set();
     /** @type {Contact[]|null} */
     this._contacts = null;
   }
@@ -215,8 +241,8 @@ export class ContactOutline {
       part.y /= part.force;
     }
     const owned = match(found, contacts, pitch);
-    /** @type {Set<number>} */
-    const left = new Set();
+    const left = this._left;
+    left.clear();
     for (let n = 0; n < contacts.length; n += 1) if (!owned.includes(n)) left.add(n);
     for (let i = 0; i < count && left.size; i += 1) {
       if (!owners[i] || owned[parts[i] - 1] >= 0) continue;

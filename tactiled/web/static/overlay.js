@@ -227,7 +227,12 @@ export class Overlay {
    * @returns {boolean} a label is drawn there
    */
   isLabelled(x, y, half, rise) {
-    return this._labels.some((each) => Math.abs(each.x - x) < each.half + half && Math.abs(each.y - y) < this._rise + rise);
+    const own = this._rise;
+    for (let i = 0; i < this._labels.length; i += 1) {
+      const each = this._labels[i];
+      if (Math.abs(each.x - x) < each.half + half && Math.abs(each.y - y) < own + rise) return true;
+    }
+    return false;
   }
 
   /** @param {Uint8Array} flags @param {Plane} plane */
