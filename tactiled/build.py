@@ -20,14 +20,14 @@ from tactiled.config import classic, schema
 from tactiled.cover.cache import Report
 from tactiled.cover.kernel import Kernel, cached, radial
 from tactiled.cover.operator import cached as cached_table
-from tactiled.cover.operator import stencil, tiled
+from tactiled.cover.operator import tiled
 from tactiled.cover.stack import Layer, Stack
 from tactiled.cover.summary import CoverSummary, summarise
 from tactiled.diagnostics.warning_codes import warning
 from tactiled.errors import ConfigError, TactileError
 from tactiled.frames import CONFIGURED, FrameWarning
 from tactiled.geometry import Array, Cells, Pose, grid, layout, tiling
-from tactiled.restore.blur import Blur, GridBlur, MatrixBlur
+from tactiled.restore.blur import Blur, MatrixBlur
 from tactiled.restore.methods import require
 from tactiled.units import COUNTS, PRESSURE, Unit
 
@@ -272,17 +272,12 @@ def make_blur(kernel: Kernel, array: Array, refine: int) -> Blur:
         raise ConfigError(f"refine = {refine}: only a grid can be refined; give 1")
     blur: Blur
     if array.shape is not None:
-        blur = _grid_blur(kernel, array, refine)
+        blur = surface.grid_blur(kernel, array, refine)
     else:
         cells = tiling(array)
         blur = MatrixBlur(cached_table(tiled, kernel, array, cells), float(np.sqrt(cells.areas.mean())))
     blur.wide = surface.make(kernel, array, refine)
     return blur
-
-
-def _grid_blur(kernel: Kernel, array: Array, refine: int) -> GridBlur:
-    assert array.shape is not None
-    return GridBlur(partial(cached_table, stencil, kernel, array), array.shape, refine, array.pitch / refine)
 
 
 def make_kernel(

@@ -2,12 +2,15 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tactiled.errors import ConfigError
+
+if TYPE_CHECKING:
+    from scipy.spatial import cKDTree
 
 Aperture = Literal["square", "round"]
 Sides = tuple[float, float, float, float]
@@ -151,8 +154,7 @@ def tiling(array: Array, refine: int = 1) -> Cells:
     from scipy.spatial import cKDTree  # here: what reads a recording of a grid starts in half the time
 
     tree = cKDTree(array.positions)
-    near = min(NEIGHBOURS, array.size - 1) + 1  # the first is the taxel itself
-    spacings = _spacings(array, *map(np.asarray, tree.query(array.positions, k=near)))
+    spacings = _spacings(array, tree)
     spacing, reach = float(np.median(spacings)), RIM_SPACINGS * spacings
     side = min(spacing, 2 * array.pitch) / SQUARES_PER_SPACING
     low, high = array.positions.min(axis=0) - reach.max(), array.positions.max(axis=0) + reach.max()
@@ -182,16 +184,15 @@ def spacing(array: Array) -> float:
         return array.pitch
     from scipy.spatial import cKDTree
 
-    near = min(NEIGHBOURS, array.size - 1) + 1
-    return float(
-        np.median(_spacings(array, *map(np.asarray, cKDTree(array.positions).query(array.positions, k=near))))
-    )
+    return float(np.median(_spacings(array, cKDTree(array.positions))))
 
 
-def _spacings(array: Array, distances: NDArray[np.float64], taxels: NDArray[np.int64]) -> NDArray[np.float64]:
+def _spacings(array: Array, tree: "cKDTree") -> NDArray[np.float64]:
     """A layout's spacing (N,) in mm: mean distance to the nearest, the median of these and the taxel's own."""
     if array.size == 1:
         return np.array([array.pitch])
+    near = min(NEIGHBOURS, array.size - 1) + 1  # the first is the taxel itself
+    distances, taxels = map(np.asarray, tree.query(array.positions, k=near))
     return np.asarray(np.median(distances[:, 1:].mean(axis=1)[taxels], axis=1))
 
 

@@ -33,11 +33,11 @@ def make(kernel: Kernel, array: Array, refine: int) -> Wide | None:
     wide = grid(*wide_shape, array.pitch, array.width, array.aperture)
     if refine == 1:
         values = (wide.size - array.size) * array.size
-        return Wide(_grid_blur(kernel, wide), taxels) if 0 < values <= MAX_BEYOND_VALUES else None
+        return Wide(grid_blur(kernel, wide), taxels) if 0 < values <= MAX_BEYOND_VALUES else None
     cells = refine**2 * wide.size
     if cells > MAX_CELLS or cells * array.size > MAX_VALUES:
         return None
-    fine = _grid_blur(kernel, wide, refine)
+    fine = grid_blur(kernel, wide, refine)
     felt = fine.forward(np.eye(cells).reshape(-1, *fine.surface_shape))[:, *taxels].reshape(cells, -1).T
     own = tuple(slice(refine * each.start, refine * each.stop) for each in taxels)
     return Wide(_raster_blur(kernel, fine.surface_shape, array.pitch / refine), own, felt)
@@ -64,9 +64,10 @@ def _around(kernel: Kernel, array: Array, pitch: float, beyond: list[int]) -> Wi
 
 def _raster_blur(kernel: Kernel, shape: tuple[int, ...], side: float) -> GridBlur:
     """Give the blur of a grid with a taxel on every cell."""
-    return _grid_blur(kernel, grid(shape[0], shape[1], side, APERTURE * side))
+    return grid_blur(kernel, grid(shape[0], shape[1], side, APERTURE * side))
 
 
-def _grid_blur(kernel: Kernel, array: Array, refine: int = 1) -> GridBlur:
+def grid_blur(kernel: Kernel, array: Array, refine: int = 1) -> GridBlur:
+    """Give the blur of a grid alone, with no surface beyond it."""
     assert array.shape is not None
     return GridBlur(partial(cached, stencil, kernel, array), array.shape, refine, array.pitch / refine)

@@ -146,10 +146,10 @@ class Wide:
 
     blur: GridBlur
     own: tuple[slice, ...]  # the cells that are the array's
-    felt: Floats | None = (
-        None  # (N, R C): what each of its taxels feels of every cell; None: they are these cells'
-    )
-    shown: Floats | None = None  # (M, R C): of cells that are no squares of the raster; None: they are these
+    felt: Floats | None = None
+    """(N, R C): what each of its taxels feels of every cell; None: they are the taxels on its cells."""
+    shown: Floats | None = None
+    """(M, R C): each cell's share in those that are shown of a layout; None: they are its cells."""
 
     @property
     def covered(self) -> NDArray[np.bool_]:
@@ -164,20 +164,16 @@ class Wide:
             return self.blur.forward(wide)[self.own]
         return self.felt.astype(wide.dtype) @ wide.reshape(-1)
 
-    def image(self, wide: Array) -> Array:
-        """Give the array's own image from one of all cells (R, C)."""
-        return wide[self.own] if self.shown is None else self.shown.astype(wide.dtype) @ wide.reshape(-1)
-
 
 def _product(right: Floats) -> Apply:
     """Give x -> x right, in x's own precision."""
-    rights = _in_both_precisions(right)
+    rights = in_both_precisions(right)
     return lambda x: np.asarray(x @ rights[x.dtype])
 
 
 def _sum_of_products(a: list[Floats], b: list[Floats]) -> Apply:
     """Give x -> sum a[k] x b[k], in x's own precision."""
-    lefts, rights = _in_both_precisions(np.concatenate(a, axis=1)), _in_both_precisions(np.stack(b))
+    lefts, rights = in_both_precisions(np.concatenate(a, axis=1)), in_both_precisions(np.stack(b))
 
     def apply(x: Array) -> Array:
         across = x[..., None, :, :] @ rights[x.dtype]
@@ -187,7 +183,8 @@ def _sum_of_products(a: list[Floats], b: list[Floats]) -> Apply:
     return apply
 
 
-def _in_both_precisions(matrix: Floats) -> dict[np.dtype[Any], Array]:
+def in_both_precisions(matrix: Floats) -> dict[np.dtype[Any], Array]:
+    """Give a matrix by the kind of what it is multiplied with."""
     return {np.dtype(kind): np.ascontiguousarray(matrix, kind) for kind in (np.float32, np.float64)}
 
 

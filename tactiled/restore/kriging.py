@@ -83,7 +83,6 @@ class Part(Kriging):
         self._frame: Image = np.zeros(shape, np.float32)
         self._around: Image = np.zeros(shape, np.float32)
         self._inside, self._flat = self._frame[self._own], self._frame.reshape(-1)
-        self._reading = np.empty(blur.frame_shape, np.float32)
         self._inferred = np.empty(len(self._missing), np.float32)
         self._matrices: dict[Spectrum, NDArray[Any]] = {}
         self._levels: dict[tuple[float, float, int], Spectrum] = {}
@@ -104,8 +103,7 @@ class Part(Kriging):
         if not len(self._missing):
             return y
         np.copyto(self._inside, y)
-        np.copyto(self._reading, y)
-        self._matrix(self._shared(spectrum)).dot(self._reading.reshape(-1), self._inferred)
+        self._matrix(self._shared(spectrum)).dot(y.reshape(-1), self._inferred)
         self._flat[self._missing] = self._inferred
         return self._frame
 

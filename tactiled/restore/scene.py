@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tactiled.restore.blur import THICKNESS_ERROR, Blur
+from tactiled.restore.blur import THICKNESS_ERROR, Blur, in_both_precisions
 from tactiled.restore.kriging import Gaps, make
 from tactiled.restore.modes import Floats, Image
 from tactiled.restore.prior import CORNERS, Prior, Spectrum
@@ -54,6 +54,8 @@ class Scene:
     def __init__(self, array: Blur, noise: float) -> None:
         blur = array.wide.blur if array.wide else array
         self.array, self.blur, self.noise = array, blur, noise
+        shown = array.wide.shown if array.wide else None
+        self._shown = None if shown is None else in_both_precisions(shown)
         self.modes = blur.modes
         # The filters' constants allow for the rest.
         self.thickness_error = array.thickness_error
@@ -71,9 +73,8 @@ class Scene:
         ones[array.wide.covered if array.wide else ...] = 1
         self.ones = self._analyse(ones, self._analyse.empty()).reshape(-1)
         analyse = self.modes.to_surface_modes()
-        self.cell_reach = np.asarray(
-            blur.adjoint(ones), np.float32
-        )  # of each cell's pressure that the taxels feel
+        # How much of each cell's pressure the taxels feel.
+        self.cell_reach = np.asarray(blur.adjoint(ones), np.float32)
         of_modes = analyse(self.cell_reach, analyse.empty())
         self.reach = of_modes[self.modes.head].ravel()  # total force of each mode, by the blur
         self.size = prod(array.frame_shape)  # taxels
@@ -114,7 +115,9 @@ class Scene:
 
     def inside(self, image: NDArray[Any]) -> NDArray[Any]:
         """Give the array's own part of an image (R, C) of the surface."""
-        return self.array.wide.image(image) if self.array.wide else image
+        if self.array.wide is None:
+            return image
+        return image[self.array.wide.own] if self._shown is None else self._shown[image.dtype] @ image.reshape(-1)
 
     def raw(self) -> Image:
         """Give the frame itself as an image of the array."""
