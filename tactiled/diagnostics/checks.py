@@ -38,6 +38,7 @@ EDGE_RATIO = 1.5  # of the highest pressure at the rim to the highest inside
 
 Floats = NDArray[np.float32]
 Flags = NDArray[np.uint8]
+Predict = Callable[[], Floats]
 
 
 class FrameChecks:
@@ -66,7 +67,7 @@ class FrameChecks:
         image: Floats,
         noise: float,
         method: str = "",
-        predict: Callable[[], Floats] | None = None,
+        predict: Predict | None = None,
     ) -> tuple[FrameWarning, ...]:
         """Warnings of this frame; arguments as of `check`."""
         self._frames += 1
@@ -83,7 +84,7 @@ class FrameChecks:
         image: Floats,
         noise: float,
         method: str = "",
-        predict: Callable[[], Floats] | None = None,
+        predict: Predict | None = None,
     ) -> tuple[WarningCode, ...]:
         """What one frame shows: `raw` and `image` in kPa, `noise` of a taxel in kPa, `method` restored it.
 

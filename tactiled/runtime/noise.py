@@ -90,13 +90,13 @@ def recorded_noise(
     """
     if plan.calibration.noise_kpa:
         return plan.calibration.noise_kpa
-    calibrator, raw = Calibrator(plan.calibration, plan.array.size), []
+    if not (first := list(with_data)):
+        return plan.calibration.floor_kpa
+    calibrator = Calibrator(plan.calibration, plan.array.size)
     if zero is not None:
         calibrator.tare(zero.astype(float))
-    for each in with_data:
-        calibrator.follow(each.counts, each.flags)
-        raw.append(calibrator(each.counts, each.flags)[0].reshape(plan.array.frame_shape))
-    return max(plan.calibration.floor_kpa, estimate(np.stack(raw)) if raw else 0.0)
+    raw, _ = calibrator.series(np.stack([each.counts for each in first]), np.stack([each.flags for each in first]))
+    return max(plan.calibration.floor_kpa, estimate(raw.reshape(-1, *plan.array.frame_shape)))
 
 
 def measure_noise(

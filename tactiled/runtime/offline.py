@@ -11,12 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactiled.build import SensorPlan
-from tactiled.calibrate.calibration import Calibrator
-from tactiled.contacts.felt import is_known, shares
+from tactiled.chain import Chain
 from tactiled.errors import ConfigError
 from tactiled.frames import DEAD, MISSING, SATURATED
-from tactiled.restore.methods import make
-from tactiled.restore.noise import IMPLAUSIBLE_KPA, estimate, noise_ratio
+from tactiled.restore.noise import IMPLAUSIBLE_KPA, estimate
 
 PIECE_FRAMES = 256  # in memory at once
 NOISE_RUNS, NOISE_RUN_FRAMES = 8, 32  # runs of frames, all over the series, from which the noise is measured
@@ -126,20 +124,18 @@ class Offline:
         noise_kpa: float | None = None,
         go_on: Callable[[], None] = lambda: None,
     ) -> None:
-        self._frames, self._go_on, self._blur = frames, go_on, plan.blur
+        self._frames, self._go_on, self._method = frames, go_on, method
         self.shape = (len(frames), *plan.blur.surface_shape)  # of the images
-        calibration, calibrator = plan.calibration, Calibrator(plan.calibration, plan.array.size)
-        gain = abs(calibration.kpa_per_count)
+        gain = abs(plan.calibration.kpa_per_count)
         self.noise_kpa = measured_noise(frames, (gain, 1.0)) if noise_kpa is None else noise_kpa
-        counts = calibration.noise_counts
-        ratio = None if counts is None else noise_ratio(calibrator.noise_kpa(counts), self.noise_kpa)
-        self._restorer = make(method, plan.blur, self.noise_kpa, ratio)
-        self._dead = np.zeros(plan.array.frame_shape, np.uint8)
-        self._dead.flat[list(calibration.dead)] = DEAD
+        self._chain = Chain(plan, self.noise_kpa)
+        self._chain.restorer(method)  # refuses another noise or method before the first frame
+        calibrator, shape = self._chain.calibrator, plan.array.frame_shape
+        self._dead = np.where(calibrator.dead, np.uint8(DEAD), np.uint8(0)).reshape(shape)
         self._ceiling_kpa: float | NDArray[np.float32] = np.inf
-        if calibration.saturation is not None:  # less half a count: the pressures were rounded on their way here
-            ceiling = calibrator.pressure(np.full(plan.array.size, calibration.saturation))
-            self._ceiling_kpa = (ceiling - gain / 2).reshape(plan.array.frame_shape)
+        if plan.calibration.saturation is not None:  # less half a count: pressures were rounded on their way here
+            ceiling = calibrator.pressure(np.full(plan.array.size, plan.calibration.saturation))
+            self._ceiling_kpa = (ceiling - gain / 2).reshape(shape)
 
     def __iter__(self) -> Iterator[tuple[NDArray[np.float32], list[FrameInfo]]]:
         """Restore in pieces: images (up to PIECE_FRAMES, *surface), valid until the next."""
@@ -148,7 +144,8 @@ class Offline:
             with np.errstate(over="ignore"):  # beyond float32 is beyond any sensor: it counts as unknown
                 pressures = np.array(_copy(self._frames, start, PIECE_FRAMES), np.float32)
             saturated = np.where(pressures >= self._ceiling_kpa, np.uint8(SATURATED), np.uint8(0))
-            pairs = zip(pressures, saturated | self._dead, strict=True)
+            missing = np.where(np.isfinite(pressures), np.uint8(0), np.uint8(MISSING))
+            pairs = zip(pressures, saturated | missing | self._dead, strict=True)
             infos = [self._restore(pressure, flags, images[n]) for n, (pressure, flags) in enumerate(pairs)]
             yield images[: len(infos)], infos
 
@@ -172,10 +169,7 @@ class Offline:
     ) -> FrameInfo:
         self._go_on()
         began = perf_counter()
-        done = self._restorer(pressure, flags)
+        done = self._chain.restore(pressure, flags, self._method)
         microseconds = 1e6 * (perf_counter() - began)
-        out[...] = done.image
-        share = shares(np.where(np.isfinite(pressure), flags, np.uint8(MISSING)), self._blur)
-        if share is not None:
-            out[~is_known(share)] = np.nan
+        out[...] = self._chain.known(done.image, flags)[0]
         return FrameInfo(done.method, done.why, done.iterations, round(microseconds, 1))

@@ -1,36 +1,29 @@
 """One sensor's way from counts to the restored image: calibrate, restore, check."""
 
-from collections.abc import Callable
 from dataclasses import replace
 from functools import cached_property
 from math import inf
 from operator import call
-from threading import Lock
 from time import monotonic, thread_time
-from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tactiled.build import SensorPlan
-from tactiled.calibrate.calibration import Calibrator
 from tactiled.calibrate.monitor import SkinMonitor
-from tactiled.calibrate.tare import Zero, below_zero, blocks, load_description, own_noise, robust_mean
-from tactiled.contacts.felt import shares, unknown_cells
-from tactiled.diagnostics.checks import FrameChecks
-from tactiled.diagnostics.warning_codes import WarningCode, warning
-from tactiled.frames import BELOW_ZERO, FLAG_BITS, UNKNOWN, FrameWarning, Image, RawFrame, StageTimes
+from tactiled.calibrate.tare import Zero, blocks, load_description, own_noise, robust_mean
+from tactiled.chain import Chain, flag_warnings
+from tactiled.diagnostics.warning_codes import warning
+from tactiled.frames import FrameWarning, Image, RawFrame, StageTimes
 from tactiled.geometry import tiling
-from tactiled.restore.methods import NO_DATA, Restorer, make, require
-from tactiled.restore.noise import estimate, noise_ratio
-from tactiled.restore.scene import Restored, never
+from tactiled.restore.methods import require
+from tactiled.restore.noise import estimate
+from tactiled.restore.scene import Restored
 from tactiled.runtime.cover_monitor import CoverMonitor
 from tactiled.runtime.noise import Noise
 from tactiled.runtime.tare_frames import TARE_FRAMES, TareFrames
 from tactiled.runtime.thickness_search import Start, ThicknessSearch
 from tactiled.units import N_PER_KPA_MM2
-
-FLAG_CODES = {cast(WarningCode, name.lower()): flag for name, flag in FLAG_BITS.items()}
 
 
 class Pipeline:
@@ -46,27 +39,22 @@ class Pipeline:
         `start` runs what takes longer than a frame: on a thread, or at once, for the same warnings in every run.
         """
         self._plan = plan
-        size = plan.array.size
-        self.calibrator = Calibrator(plan.calibration, size)
+        self.noise: Noise = Noise(plan.calibration, plan.unit, before.noise if before else None)
+        self._chain = Chain(plan, self.noise.kpa)
+        self.calibrator, self.deviation = self._chain.calibrator, self._chain.deviation
         codec = plan.codec
         self.monitor = SkinMonitor(plan.array, plan.kernel, plan.calibration, codec.ends, codec.full_scale, start)
-        self.noise: Noise = Noise(plan.calibration, plan.unit, before.noise if before else None)
         self._tare_frames = TareFrames()
-        self.zero = Zero(self.calibrator.no_load, np.full((2, size), np.nan, np.float32))  # of the unloaded array
+        self.zero = Zero(self.calibrator.no_load, self._chain.shear_zero)  # of the unloaded array
         self._zero_before: Zero | None = None  # the last tare
         self._highest = 0.0  # reading since this zero
         self._recent: tuple[NDArray[np.float32], ...] = ()  # raw images since the last tare, or break
         self.tared = self.lapsed = self.refused = 0  # times that a tare was done, given up, or met a load
         self.load_in_tare = ""  # in words: what the last refused tare met
-        self._checks = FrameChecks(plan.blur, plan.calibration.floor_kpa)
         self._thickness = ThicknessSearch(plan, start)
         self.cover = CoverMonitor(plan)
         self.method: str = before.method if before else plan.method
-        self._noise_ratio: NDArray[np.float64] | None = None  # (N,) of each taxel to `noise`; None: none is noisy
-        self._restorer = self._make_restorer()
-        self._weigh_taxels()
-        self._deviation: tuple[tuple[str, float], Restorer] | None = None  # of a method and a noise
-        self._deviation_lock = Lock()
+        self._chain.prepare(self.method)
 
     def set_method(self, name: str) -> None:
         """Restore the next frames by `name`; ConfigError if there is no such method."""
@@ -107,8 +95,7 @@ class Pipeline:
             self._use_zero()
 
     def _use_zero(self) -> None:
-        measured = self.zero.time is not None or self._plan.calibration.no_loads is not None
-        self.calibrator.tare(self.zero.counts.astype(float), measured)
+        self._chain.tare(self.zero, self.zero.time is not None or self._plan.calibration.no_loads is not None)
         self._recent, self._highest = (), 0.0
         self.cover.reset()
 
@@ -126,23 +113,12 @@ class Pipeline:
         self._use_zero()
         self.calibrator.take_over(other.calibrator)
         self.monitor.take_over(other.monitor, self.calibrator)
-        self._weigh_taxels()
+        self._chain.weigh(self.monitor.noise_counts)
 
     def _unless_older(self, zero: Zero) -> Zero:
         """A zero of another calibration; with the counts of this one where it was not tared since that."""
         tared = zero.time is not None and zero.time >= self._plan.no_load_time
         return zero if tared else replace(self.zero, shear=zero.shear)
-
-    def deviation(self, image: Image) -> NDArray[np.float32]:
-        """Standard deviation of every cell of `image.restored`, in its unit, this pipeline's newest."""
-        wanted_by = self._made_for[0], image.noise
-        with self._deviation_lock:
-            if self._deviation is None or self._deviation[0] != wanted_by:
-                self._deviation = wanted_by, make(wanted_by[0], self._plan.blur, wanted_by[1])
-            restorer = self._deviation[1]
-            restorer.weigh(self._noise_ratio)
-            restorer(image.raw, image.flags)
-            return np.where(np.isnan(image.restored), np.nan, restorer.deviation()).astype(np.float32)
 
     def forces(self, frame: RawFrame) -> NDArray[np.float64] | None:
         """Force (N, 3) in N on each taxel, along x and y and into the skin, as sensed; None unless all are known.
@@ -163,20 +139,6 @@ class Pipeline:
         """(N,) mm^2 of the surface that each taxel stands for."""
         return tiling(self._plan.array).areas
 
-    def _make_restorer(self) -> Restorer:
-        self._made_for = self.method, self.noise.kpa
-        restorer = make(self._made_for[0], self._plan.blur, self._made_for[1], self._noise_ratio)
-        restorer.prepare()
-        return restorer
-
-    def _weigh_taxels(self) -> None:
-        """Weight noisy taxels by their noise, where it is known."""
-        noise_kpa = self.calibrator.noise_kpa(self.monitor.noise_counts)
-        ratio = noise_ratio(noise_kpa, self.noise.kpa, self._noise_ratio)
-        if ratio is not self._noise_ratio:
-            self._noise_ratio = ratio
-            self._restorer.weigh(ratio)
-
     def process(self, frame: RawFrame, budget_s: float = inf, came: tuple[float, float] | None = None) -> Image:
         """Image of one frame; every doubt about it is NaN, a flag or a warning.
 
@@ -186,56 +148,43 @@ class Pipeline:
         began = monotonic()
         last_message, assembled = came or (began, began)
         self._apply_tare(frame)
-        self.calibrator.follow(frame.counts, frame.flags)
+        chain = self._chain
+        chain.follow(frame.counts, frame.flags)
         if self.monitor.push(frame, self.calibrator):
-            self._weigh_taxels()
-        shape = self._plan.array.frame_shape
-        pressure, taxel_flags = self.calibrator(frame.counts, frame.flags)
-        raw, flags = pressure.reshape(shape), taxel_flags.reshape(shape)
+            chain.weigh(self.monitor.noise_counts)
+        raw, flags = chain.pressure(frame)
         self.noise.add(raw)
+        chain.noise = self.noise.kpa
         if self.noise.settled:
-            self._highest = max(self._highest, float(np.fmax.reduce(pressure)))
-            flags = flags | np.where(below_zero(raw, self.noise.kpa, self._highest), BELOW_ZERO, np.uint8(0))
+            self._highest = max(self._highest, float(np.fmax.reduce(raw, axis=None)))
+            flags = chain.with_below_zero(raw, flags, self._highest)
         self._recent = (*self._recent, raw)[-TARE_FRAMES:]
-        if self._made_for != (self.method, self.noise.kpa):
-            self._restorer = self._make_restorer()
+        chain.prepare(self.method)
         calibrated = monotonic()
-        done = restore_frame(self._restorer, raw, flags, Deadline(budget_s))
+        done = chain.restore(raw, flags, self.method, Deadline(budget_s))
         restored = monotonic()
         warnings = self._check(raw, flags, done, budget_s)
         checked = monotonic()
         times = StageTimes(
             last_message - frame.skew, last_message, assembled, began, calibrated, restored, checked
         )
-        return make_image(
-            self._plan,
-            frame,
-            done,
-            raw=raw,
-            flags=flags,
-            microseconds=(checked - began) * 1e6,
-            noise=self.noise.kpa,
-            warnings=warnings,
-            shear=without_zero(frame.shear, self.zero.shear, flags),
-            times=times,
-        )
+        microseconds = (checked - began) * 1e6
+        return chain.image(frame, raw, flags, done, microseconds=microseconds, warnings=warnings, times=times)
 
     def _check(
         self, raw: NDArray[np.float32], flags: NDArray[np.uint8], done: Restored, budget_s: float
     ) -> tuple[FrameWarning, ...]:
         """Warnings of an image."""
-        doubtful = flags if self._noise_ratio is None else flags | (self._noise_ratio > 1).reshape(flags.shape)
-        checked = self._checks(raw, doubtful, done.image, self.noise.kpa, done.method, self._restorer.predicted)
+        doubtful = self._chain.doubtful(flags)
+        checked = self._chain.warnings(raw, doubtful, done)
         if done.cut_short:
             checked = (*checked, warning("cut_short", budget_ms=1e3 * budget_s))
         checked = self._thickness(checked, raw, doubtful, self.noise.kpa)
         self.cover.push(raw, doubtful, self.noise.kpa if self.noise.settled else np.inf)
-        of_skin = self._plan.warnings + self.noise.warning + flag_warnings(flags) + self._map_warning()
-        return of_skin + checked + self.cover.warning
-
-    def _map_warning(self) -> tuple[FrameWarning, ...]:
         wrong = self.monitor.map.wrong
-        return (warning("wrong_map", wrong=", ".join(wrong)),) if wrong else ()
+        of_map = (warning("wrong_map", wrong=", ".join(wrong)),) if wrong else ()
+        of_skin = self._plan.warnings + self.noise.warning + flag_warnings(flags)
+        return of_skin + of_map + checked + self.cover.warning
 
     def _apply_tare(self, frame: RawFrame) -> None:
         """Add a frame to a tare under way; apply its zero once it is complete, unless there was a load."""
@@ -275,58 +224,3 @@ class Deadline:
         now = thread_time()
         step, self._last = now - self._last, now
         return now + step > self._end
-
-
-def make_image(plan: SensorPlan, frame: RawFrame, done: Restored, **others: Any) -> Image:
-    """The image of a frame as it was restored; `others` are the fields that neither of them has."""
-    restored, flags = done.image.copy(), others["flags"]
-    share = shares(flags, plan.blur)
-    if share is not None:
-        restored[unknown_cells(flags, plan.blur, share)] = np.nan
-    return Image(
-        sensor=plan.name,
-        sequence=frame.sequence,
-        time=frame.time,
-        restored=restored,
-        shares=share,
-        method=done.method,
-        why=done.why,
-        iterations=done.iterations,
-        noise_gain=done.noise_gain,
-        resolution_mm=done.resolution_mm,
-        loss=frame.loss,
-        arrived=frame.arrived,
-        unit=plan.unit,
-        calibration=plan.calibration_id,
-        **others,
-    )
-
-
-def without_zero(
-    shear: NDArray[np.float32] | None, zero: NDArray[np.float32], flags: NDArray[np.uint8]
-) -> NDArray[np.float32] | None:
-    """Shear in counts (2, ...), less a tare's `zero` (2, N); NaN where it is unknown, as in the raw image."""
-    if shear is None:
-        return None
-    tared = shear - np.nan_to_num(zero)
-    tared[:, flags.ravel() & UNKNOWN > 0] = np.nan
-    return tared.reshape((2, *flags.shape))
-
-
-def restore_frame(
-    restorer: Restorer, raw: NDArray[np.float32], flags: NDArray[np.uint8], expired: Callable[[], bool] = never
-) -> Restored:
-    """Restore a frame; what is far below zero counts as no pressure."""
-    below = flags & BELOW_ZERO > 0
-    if not below.any():
-        return restorer(raw, flags, expired)
-    return restorer(np.where(below, np.float32(0), raw), flags & ~np.uint8(BELOW_ZERO), expired)
-
-
-def flag_warnings(flags: NDArray[np.uint8]) -> tuple[FrameWarning, ...]:
-    """A warning for each flag that some taxels have."""
-    if not flags.any():
-        return ()
-    instead = {} if (flags & UNKNOWN == 0).any() else {"instead": NO_DATA}
-    counts = ((code, int(np.count_nonzero(flags & flag))) for code, flag in FLAG_CODES.items())
-    return tuple(warning(code, count, **instead) for code, count in counts if count)

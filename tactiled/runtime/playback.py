@@ -13,17 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactiled.build import SensorPlan
-from tactiled.calibrate.calibration import Calibrator
 from tactiled.calibrate.tare import Zero, below_zero
+from tactiled.chain import Chain, flag_warnings
 from tactiled.contacts.detection import Contact, Finder
-from tactiled.diagnostics.checks import CHECK_EVERY_FRAMES, CHECKS_IN_A_ROW, FrameChecks
+from tactiled.diagnostics.checks import CHECK_EVERY_FRAMES, CHECKS_IN_A_ROW
 from tactiled.diagnostics.warning_codes import WarningCode, warning
-from tactiled.frames import BELOW_ZERO, FrameWarning, Image, RawFrame
+from tactiled.frames import FrameWarning, Image, RawFrame
 from tactiled.geometry import tiling
-from tactiled.restore.methods import Restorer, make
-from tactiled.restore.noise import noise_ratio
 from tactiled.runtime.noise import numbers_with_data, recorded_noise
-from tactiled.runtime.pipeline import flag_warnings, make_image, restore_frame, without_zero
 from tactiled.runtime.recorded_frames import FrameFiles
 from tactiled.units import FORCE_SCALES
 
@@ -59,22 +56,16 @@ class Playback:
     def __init__(self, plan: SensorPlan, zero: Zero, recorded: FrameFiles, noise_frames: Sequence[int]) -> None:
         """There must be a frame; the noise is measured from those of `noise_frames` unless it is configured."""
         self.plan, self.zero, self._recorded = plan, zero, recorded
-        calibration, size = plan.calibration, plan.array.size
-        self._calibrator = Calibrator(calibration, size)
         self._past: dict[int, NDArray[np.float32]] = {}  # of the hysteresis, before some frames
         self._next = 0  # frame that the hysteresis takes next
-        self._shear_zero = np.full((2, size), np.nan, np.float32)
-        self.tared_at: float | None = None
-        if zero.time is not None and zero.time <= recorded.heads(plan.name, 0, 1)["time"][0]:
-            self.tared_at, self._shear_zero = zero.time, zero.shear
-            self._calibrator.tare(zero.counts.astype(float))
+        tared = zero.time is not None and zero.time <= recorded.heads(plan.name, 0, 1)["time"][0]
+        self.tared_at = zero.time if tared else None
         with_data = (recorded.frame(plan.name, n) for n in noise_frames)
-        self.noise = recorded_noise(plan, with_data, None if self.tared_at is None else zero.counts)
-        noise_counts = calibration.noise_counts
-        noisy = None if noise_counts is None else self._calibrator.noise_kpa(noise_counts)
-        self._noise_ratio = None if noisy is None else noise_ratio(noisy, self.noise)
-        self._restorers: dict[str, Restorer] = {}
-        self._checks = FrameChecks(plan.blur, calibration.floor_kpa)
+        self.noise = recorded_noise(plan, with_data, zero.counts if tared else None)
+        self._chain = Chain(plan, self.noise)
+        self._calibrator = self._chain.calibrator
+        if tared:
+            self._chain.tare(zero)
         self._finder = Finder(plan.array, plan.cells)
         self._areas = tiling(plan.array).areas  # (N,) mm^2
         self._overview, self._overview_frames = Overview(np.empty(0), np.empty(0)), 0
@@ -82,8 +73,7 @@ class Playback:
 
     def _pressure(self, number: int, frame: RawFrame) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
         self._follow(number, frame)
-        pressure, flags = self._calibrator(frame.counts, frame.flags)
-        return pressure.reshape(self.plan.array.frame_shape), flags.reshape(self.plan.array.frame_shape)
+        return self._chain.pressure(frame)
 
     def _follow(self, number: int, frame: RawFrame) -> None:
         """Bring the hysteresis to its state at this frame, as after playing all frames before it in order."""
@@ -106,26 +96,15 @@ class Playback:
 
     def image(self, number: int, method: str) -> Image:
         """One frame restored; `arrived` is its position in the recording. ConfigError for an unknown method."""
-        plan, frame = self.plan, self._recorded.frame(self.plan.name, number)
-        if method not in self._restorers:
-            self._restorers[method] = make(method, plan.blur, self.noise, self._noise_ratio)
+        chain, frame = self._chain, self._recorded.frame(self.plan.name, number)
+        chain.restorer(method)
         began = perf_counter()
         raw, flags = self._pressure(number, frame)
         if below_zero(raw, self.noise, 0.0).any():
-            below = below_zero(raw, self.noise, max(self._highest(number), float(np.nanmax(raw))))
-            flags = flags | np.where(below, BELOW_ZERO, np.uint8(0))
-        done = restore_frame(self._restorers[method], raw, flags)
-        return make_image(
-            plan,
-            frame,
-            done,
-            raw=raw,
-            flags=flags,
-            microseconds=(perf_counter() - began) * 1e6,
-            noise=self.noise,
-            warnings=plan.warnings + flag_warnings(flags),
-            shear=without_zero(frame.shear, self._shear_zero, flags),
-        )
+            flags = chain.with_below_zero(raw, flags, max(self._highest(number), float(np.nanmax(raw))))
+        done = chain.restore(raw, flags, method)
+        warnings, microseconds = self.plan.warnings + flag_warnings(flags), (perf_counter() - began) * 1e6
+        return chain.image(frame, raw, flags, done, microseconds=microseconds, warnings=warnings)
 
     def warnings(self, number: int, method: str) -> tuple[FrameWarning, ...]:
         """Warnings of one frame: those of a replay that this frame and the checks before it can show."""
@@ -139,12 +118,7 @@ class Playback:
 
     def _check(self, number: int, method: str) -> tuple[WarningCode, ...]:
         image = self.image(number, method)
-        if image.shares is not None:
-            return ()  # what is unknown shows nothing
-        noisy = None if self._noise_ratio is None else (self._noise_ratio > 1).reshape(image.flags.shape)
-        doubtful = image.flags if noisy is None else image.flags | noisy
-        predict = self._restorers[method].predicted  # of the frame that was restored just now
-        return self._checks.check(image.raw, doubtful, image.restored, self.noise, image.method, predict)
+        return self._chain.check(image) if image.shares is None else ()  # what is unknown shows nothing
 
     def contacts(self, image: Image) -> tuple[Contact, ...]:
         """Contacts of an image, strongest first, numbered from 1: there is no frame before to follow them from."""

@@ -72,7 +72,7 @@ def test_real_bytes_of_a_grasp_are_restored(plan, name, slices, place, rows):
     pipeline = Pipeline(replace(plan, method="wiener"))
     image = pipeline.process(frames[place])
     np.testing.assert_array_equal(image.raw, 245.0 - counts)  # pressure counts = no load - value
-    again = np.linalg.norm(pipeline._restorer.predicted() - image.raw)
+    again = np.linalg.norm(pipeline._chain._restorer.predicted() - image.raw)
     assert again < np.linalg.norm(plan.blur.forward(image.raw) - image.raw)  # than the raw one blurred twice
     assert again < np.sqrt(image.raw.size / 12)  # which rounding to counts leaves
 

@@ -1,0 +1,166 @@
+"""The way of a frame from counts to its image: live, in playback, in exports and from files of frames."""
+
+from collections.abc import Callable
+from threading import Lock
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactiled.build import SensorPlan
+from tactiled.calibrate.calibration import Calibrator
+from tactiled.calibrate.tare import Zero, below_zero
+from tactiled.contacts.felt import shares, unknown_cells
+from tactiled.diagnostics.checks import FrameChecks
+from tactiled.diagnostics.warning_codes import WarningCode, warning
+from tactiled.frames import BELOW_ZERO, FLAG_BITS, UNKNOWN, FrameWarning, Image, RawFrame
+from tactiled.restore.methods import NO_DATA, Restorer, make
+from tactiled.restore.noise import noise_ratio
+from tactiled.restore.scene import Restored, never
+
+FLAG_CODES = {cast(WarningCode, name.lower()): flag for name, flag in FLAG_BITS.items()}
+
+Floats = NDArray[np.float32]
+Flags = NDArray[np.uint8]
+
+
+class Chain:
+    """Calibrates, restores and checks the frames of one array, one after the other, on one thread.
+
+    A frame goes through `follow` (hysteresis), `pressure` (counts to kPa), `with_below_zero` (of a wrong zero),
+    `restore` (without blur), `warnings` or `check` (of image against frame), and `image`. In between the live
+    pipeline measures zeros and noise, and playback goes back; frames in kPa need `restore` and `known` alone.
+    """
+
+    def __init__(self, plan: SensorPlan, noise: float) -> None:
+        """`noise` is a taxel's standard deviation, in the plan's unit; it may be set anew between two frames."""
+        self.plan, self.noise = plan, noise
+        self.calibrator = Calibrator(plan.calibration, plan.array.size)
+        self.follow = self.calibrator.follow
+        self.shear_zero = np.full((2, plan.array.size), np.nan, np.float32)  # counts; NaN: not tared
+        self.noise_ratio: NDArray[np.float64] | None = None  # (N,) of each taxel to `noise`; None: none is noisy
+        self._checks = FrameChecks(plan.blur, plan.calibration.floor_kpa)
+        self._restorers: dict[tuple[str, float], Restorer] = {}  # of a method and a noise
+        self._restorer: Restorer  # of the newest frame
+        self._method = plan.method  # of the newest frame
+        self._deviation: tuple[tuple[str, float], Restorer] | None = None
+        self._deviation_lock = Lock()
+        if plan.calibration.noise_counts is not None:
+            self.weigh(plan.calibration.noise_counts)
+
+    def tare(self, zero: Zero, measured: bool = True) -> None:
+        """Take what the unloaded array reads; it is not `measured` where it is only configured."""
+        self.calibrator.tare(zero.counts.astype(float), measured)
+        self.shear_zero = zero.shear
+
+    def weigh(self, noise_counts: NDArray[np.float64]) -> None:
+        """Weight noisy taxels by their noise (N,) in counts; NaN: unknown."""
+        ratio = noise_ratio(self.calibrator.noise_kpa(noise_counts), self.noise, self.noise_ratio)
+        if ratio is not self.noise_ratio:
+            self.noise_ratio = ratio
+            for each in self._restorers.values():
+                each.weigh(ratio)
+
+    def prepare(self, method: str) -> None:
+        """Make now what frames by this method need, so that none waits for it, and forget the other methods."""
+        if (method, self.noise) not in self._restorers:
+            self._restorers = {}
+            self.restorer(method).prepare()
+
+    def restorer(self, method: str) -> Restorer:
+        """The restorer by a method, made where it is new; ConfigError for a method or noise that is none."""
+        made_for = method, self.noise
+        if made_for not in self._restorers:
+            self._restorers[made_for] = make(method, self.plan.blur, self.noise, self.noise_ratio)
+        self._restorer, self._method = self._restorers[made_for], method
+        return self._restorer
+
+    def pressure(self, frame: RawFrame) -> tuple[Floats, Flags]:
+        """Pressure of a frame in `unit`, NaN where it is unknown, and flags, both of the array's shape."""
+        pressure, flags = self.calibrator(frame.counts, frame.flags)
+        shape = self.plan.array.frame_shape
+        return pressure.reshape(shape), flags.reshape(shape)
+
+    def with_below_zero(self, raw: Floats, flags: Flags, highest: float) -> Flags:
+        """Flags, and BELOW_ZERO where the zero was taken under a load; `highest` was read since then."""
+        return flags | np.where(below_zero(raw, self.noise, highest), BELOW_ZERO, np.uint8(0))
+
+    def restore(self, raw: Floats, flags: Flags, method: str, expired: Callable[[], bool] = never) -> Restored:
+        """Restore pressures; what is far below zero counts as none. The image has no NaN, until the next frame."""
+        restorer, below = self.restorer(method), flags & BELOW_ZERO > 0
+        if below.any():
+            raw, flags = np.where(below, np.float32(0), raw), flags & ~np.uint8(BELOW_ZERO)
+        return restorer(raw, flags, expired)
+
+    def known(self, restored: Floats, flags: Flags) -> tuple[Floats, Floats | None]:
+        """A copy of a restored image, NaN where lost taxels leave it unknown; and the cells' `shares`."""
+        image, share = restored.copy(), shares(flags, self.plan.blur)
+        if share is not None:
+            image[unknown_cells(flags, self.plan.blur, share)] = np.nan
+        return image, share
+
+    def doubtful(self, flags: Flags) -> Flags:
+        """Flags, not 0 for noisy taxels either."""
+        return flags if self.noise_ratio is None else flags | (self.noise_ratio > 1).reshape(flags.shape)
+
+    def warnings(self, raw: Floats, doubtful: Flags, done: Restored) -> tuple[FrameWarning, ...]:
+        """Compare the image restored last with its frame, now and then: what several frames in turn have shown."""
+        return self._checks(raw, doubtful, done.image, self.noise, done.method, self._restorer.predicted)
+
+    def check(self, image: Image) -> tuple[WarningCode, ...]:
+        """Compare the image restored last, which has no unknown cell, with its frame: what this one shows."""
+        doubtful, predict = self.doubtful(image.flags), self._restorer.predicted
+        return self._checks.check(image.raw, doubtful, image.restored, self.noise, image.method, predict)
+
+    def image(self, frame: RawFrame, raw: Floats, flags: Flags, done: Restored, **others: Any) -> Image:
+        """The image of a frame as it was restored; `others` are the fields that nothing here has."""
+        restored, share = self.known(done.image, flags)
+        return Image(
+            sensor=self.plan.name,
+            sequence=frame.sequence,
+            time=frame.time,
+            raw=raw,
+            restored=restored,
+            flags=flags,
+            method=done.method,
+            why=done.why,
+            iterations=done.iterations,
+            noise=self.noise,
+            noise_gain=done.noise_gain,
+            resolution_mm=done.resolution_mm,
+            loss=frame.loss,
+            shear=self._shear(frame, flags),
+            arrived=frame.arrived,
+            unit=self.plan.unit,
+            calibration=self.plan.calibration_id,
+            shares=share,
+            **others,
+        )
+
+    def _shear(self, frame: RawFrame, flags: Flags) -> Floats | None:
+        """Shear in counts (2, ...), less the zero's; NaN where it is unknown, as in the raw image."""
+        if frame.shear is None:
+            return None
+        tared = frame.shear - np.nan_to_num(self.shear_zero)
+        tared[:, flags.ravel() & UNKNOWN > 0] = np.nan
+        return tared.reshape((2, *flags.shape))
+
+    def deviation(self, image: Image) -> Floats:
+        """Standard deviation of every cell of `image.restored`, this chain's newest, in its unit; any thread."""
+        wanted_by = self._method, image.noise
+        with self._deviation_lock:
+            if self._deviation is None or self._deviation[0] != wanted_by:
+                self._deviation = wanted_by, make(wanted_by[0], self.plan.blur, wanted_by[1])
+            restorer = self._deviation[1]
+            restorer.weigh(self.noise_ratio)
+            restorer(image.raw, image.flags)
+            return np.where(np.isnan(image.restored), np.nan, restorer.deviation()).astype(np.float32)
+
+
+def flag_warnings(flags: Flags) -> tuple[FrameWarning, ...]:
+    """A warning for each flag that some taxels have."""
+    if not flags.any():
+        return ()
+    instead = {} if (flags & UNKNOWN == 0).any() else {"instead": NO_DATA}
+    counts = ((code, int(np.count_nonzero(flags & flag))) for code, flag in FLAG_CODES.items())
+    return tuple(warning(code, count, **instead) for code, count in counts if count)
