@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from numpy.lib.stride_tricks import as_strided
 from numpy.typing import NDArray
 
+from tactiled.core import network
 from tactiled.restore.blur import Blur
 from tactiled.restore.modes import Image
 from tactiled.restore.scene import Scene
@@ -67,46 +67,6 @@ def cover_gains(blur: Blur) -> NDArray[np.float32]:
     return np.asarray(np.sqrt(np.maximum(gain[tuple(at)], MIN_GAIN)), np.float32)
 
 
-class Convolution:
-    """Redraws images (INPUTS, R, C) to one: F filters, each cut off below zero, and F kernels that add up.
-
-    A row of an image is followed by a zero, so that every shift of a kernel is a shift in memory.
-    """
-
-    def __init__(self, shape: tuple[int, int], filters: int) -> None:
-        rows, columns = shape
-        line, size = columns + 1, np.dtype(np.float32).itemsize
-        margin = line + 1
-        length = rows * line + 2 * margin
-        padded = np.zeros((INPUTS, length), np.float32)
-        self._shifted = np.zeros((KERNEL**2 * INPUTS + 1, length), np.float32)
-        self._filtered = np.zeros((filters, length), np.float32)
-        self._maps = np.zeros((KERNEL**2, length), np.float32)
-        self._zeros = np.zeros_like(self._filtered)  # to compare with an array takes a quarter of the time
-        within = slice(margin, -margin)
-        self._shifted[-1, within] = 1  # what the offset of a filter is multiplied by
-        self.images = padded[:, within].reshape(-1, rows, line)[:, :, :columns]
-        every = (KERNEL, KERNEL, INPUTS, rows * line)
-        down, across = line * size, size
-        self._around = as_strided(padded, every, (down, across, length * size, across))
-        self._into = self._shifted[:-1, within].reshape(every)
-        self._after_rows = self._filtered[:, within].reshape(-1, rows, line)[:, :, columns]
-        self._summands = as_strided(
-            self._maps,
-            (KERNEL, KERNEL, rows, columns),
-            (KERNEL * length * size + down, length * size + across, down, across),
-        )
-
-    def __call__(self, kernels: Image, draw: Image, out: Image) -> None:
-        """Fill `out` (R, C) from `images`; `kernels` (F, 9 INPUTS + 1): of every filter, and its offset."""
-        np.copyto(self._into, self._around)
-        kernels.dot(self._shifted, self._filtered)
-        np.maximum(self._filtered, self._zeros, out=self._filtered)
-        self._after_rows.fill(0)
-        draw.dot(self._filtered, self._maps)
-        np.add.reduce(self._summands, axis=(0, 1), out=out)
-
-
 class Conditions:
     """What the network is told of a frame besides its image: noise, spectrum and cover, (c,)."""
 
@@ -141,26 +101,17 @@ class Learned:
 
     def __init__(self, scene: Scene, wiener: Wiener) -> None:
         self._scene, self._wiener = scene, wiener
-        self._exact, self._wary = weights(), weights(WARY_WEIGHTS)
+        self._exact, self._wary = (Stages(weights(path)) for path in (WEIGHTS, WARY_WEIGHTS))
         rows, columns = scene.blur.surface_shape
-        stages, filters = self._exact.redraw.shape[:2]
-        self._convolve = Convolution((rows, columns), filters)
         self._conditions = Conditions(scene)
-        self._input = np.ones(len(self._exact.hidden), np.float32)
-        self._hidden = np.ones(len(self._exact.tune), np.float32)
-        self._tuned = np.empty((stages, 2 * filters + 1), np.float32)
-        self._scales, self._offsets = self._tuned[:, :filters, None], self._tuned[:, filters:-1]
-        self._kernels = np.empty((stages, filters, KERNEL**2 * INPUTS + 1), np.float32)
+        self._fixed = np.zeros((self._exact.filters, rows, columns + 1), np.float32)
+        self._images = np.empty((INPUTS, rows, columns), np.float32)
         self._gain = np.asarray(scene.modes.gain, np.float32)
-        self._square = self._gain**2
-        self._analyse = scene.modes.to_surface_modes()
-        self._synthesise = scene.modes.head_to_surface()
-        self._modes = self._analyse.empty()
-        self._seen = self._modes[scene.modes.head]
-        self._c, self._change, self._divisor = (np.empty_like(scene.c) for _ in range(3))
-        self._addend, self.image = (np.zeros((rows, columns), np.float32) for _ in range(2))
-        self._zeros, self._factor = np.zeros_like(self.image), np.zeros((), np.float32)
-        self._no_units = np.zeros(len(self._hidden) - 1, np.float32)
+        bases = zip(scene.modes.surface, self._gain.shape, strict=True)
+        self._down, self._across = (np.ascontiguousarray(V[:, :n], np.float32) for V, n in bases)
+        self._back = np.ascontiguousarray(self._across.T)
+        self._c = np.empty_like(scene.c)
+        self._drawn, self.image = (np.zeros((rows, columns), np.float32) for _ in range(2))
         self._scale = 1.0  # kPa
 
     def prepare(self) -> None:
@@ -168,47 +119,36 @@ class Learned:
 
     def __call__(self, linear: Image) -> int:
         """Restore from the linear image; gives the stages run."""
-        scene, factor = self._scene, self._factor
+        scene = self._scene
         self._scale = max(linear.item(linear.argmax()), scene.noise)
-        factor[()] = 1 / self._scale
-        np.multiply(linear, factor, out=self._convolve.images[-1])
-        np.multiply(scene.c, factor, out=self._c)
+        start, self._c[...] = linear / np.float32(self._scale), scene.c / np.float32(self._scale)
         self._conditions(linear, self._wiener.noise_gain, self._scale)
-        done = self._run(self._exact)
+        done = self._run(self._exact, start)
         if not scene.cut_short and self._misfit() > MISFIT:
-            done += self._run(self._wary)
-        factor[()] = self._scale
-        np.multiply(self.image, factor, out=self.image)
+            done += self._run(self._wary, start)
+        self.image *= np.float32(self._scale)
         scene.keep_force(self.image.reshape(-1))
         return done
 
-    def _run(self, trained: Weights) -> int:
+    def _run(self, stages: "Stages", start: Image) -> int:
         """Make the image, over its scale, by all stages that there is time for; gives their number."""
         image, noise, done, (span, middle) = self.image, self._scene.noise / self._scale, 0, FIRMNESS
-        consistent, redrawn, start = self._convolve.images
-        self._tune(trained, self._conditions.values)
-        np.copyto(redrawn, start)
-        np.maximum(start, self._zeros, out=image)
-        np.copyto(consistent, image)
-        while done < len(self._tuned) and not self._scene.cut():
+        consistent, redrawn, self._images[2] = self._images[0], self._images[1], start
+        redrawn[...] = start
+        np.maximum(start, 0, out=image)
+        consistent[...] = image
+        tuned = stages.tune(self._conditions.values)
+        while done < len(tuned) and not self._scene.cut():
             if done:
-                np.copyto(redrawn, image)
-                change = self._correction(noise**2 * exp(span * self._tuned.item(done - 1, -1) + middle))
-                np.add(image, change, out=consistent)
-            self._convolve(self._kernels[done], trained.draw[done], self._addend)
-            np.add(consistent, self._addend, out=image)
+                redrawn[...] = image
+                self._hold(image, noise**2 * exp(span * tuned.item(done - 1, -1) + middle), consistent)
+            scales, offsets = tuned[done, : stages.filters], tuned[done, stages.filters : -1]
+            kernels, draw = stages.kernels[done], stages.draw[done]
+            network.redraw(self._images, self._fixed, kernels, scales, offsets, draw, self._drawn)
+            np.add(consistent, self._drawn, out=image)
             done += 1
-        np.maximum(image, self._zeros, out=image)
+        np.maximum(image, 0, out=image)
         return done
-
-    def _tune(self, trained: Weights, conditions: NDArray[np.float32]) -> None:
-        """Fit the stages to a frame's conditions: a layer of hidden units that are cut off below zero."""
-        np.clip(conditions, trained.lowest, trained.highest, out=self._input[:-1])
-        self._input.dot(trained.hidden, self._hidden[:-1])
-        np.maximum(self._hidden[:-1], self._no_units, out=self._hidden[:-1])
-        self._hidden.dot(trained.tune, self._tuned.reshape(-1))
-        np.multiply(trained.redraw, self._scales, out=self._kernels[:, :, :-1])
-        np.copyto(self._kernels[:, :, -1], self._offsets)
 
     def _misfit(self) -> float:
         """Mean square of what the image leaves of the frame's modes, each over what a right model leaves of it.
@@ -216,26 +156,27 @@ class Learned:
         What a scene does within a cell comes through the cover, as does the image's error: in modes that the cover
         takes, only a wrong model leaves more than noise.
         """
-        missed, factor, flat = self._missed(), self._factor, self.image.reshape(-1)
-        factor[()] = IMAGE_ERROR**2 * float(flat.dot(flat)) / flat.size
-        np.multiply(self._square, factor, out=self._divisor)
-        factor[()] = (self._scene.noise / self._scale) ** 2
-        np.add(self._divisor, factor, out=self._divisor)
-        np.multiply(missed, missed, out=missed)
-        np.divide(missed, self._divisor, out=missed)
-        return float(np.add.reduce(missed, axis=None)) / missed.size
+        bases, noise = (self._down, self._across), self._scene.noise / self._scale
+        return network.misfit(self.image, *bases, self._gain, self._c, IMAGE_ERROR, noise)
 
-    def _missed(self) -> Image:
-        """What the image leaves of the frame's coefficients."""
-        self._analyse(self.image, self._modes)
-        np.multiply(self._seen, self._gain, out=self._change)
-        return np.subtract(self._c, self._change, out=self._change)
+    def _hold(self, image: Image, firmness: float, out: Image) -> None:
+        """Add to the image what the frame tells of it."""
+        network.hold(image, self._down, self._across, self._back, self._gain, self._c, firmness, out)
 
-    def _correction(self, firmness: float) -> Image:
-        """What the frame tells of the image, to be added to it."""
-        change, factor = self._missed(), self._factor
-        np.multiply(change, self._gain, out=change)
-        factor[()] = firmness
-        np.add(self._square, factor, out=self._divisor)
-        np.divide(change, self._divisor, out=change)
-        return self._synthesise(change, self._addend)
+
+class Stages:
+    """What was trained, in the order of memory that redraws fast."""
+
+    def __init__(self, trained: Weights) -> None:
+        self._trained = trained
+        stages, self.filters = trained.redraw.shape[:2]
+        taps = trained.redraw.reshape(stages, self.filters, KERNEL, KERNEL, INPUTS)
+        self.kernels = np.ascontiguousarray(np.moveaxis(taps, -1, 2))
+        self.draw = trained.draw.reshape(stages, KERNEL, KERNEL, self.filters)
+
+    def tune(self, conditions: NDArray[np.float32]) -> Image:
+        """Fit the stages (S, 2 F + 1) to a frame's conditions: a layer of units that are cut off below zero."""
+        trained, one = self._trained, np.ones(1, np.float32)
+        known = np.append(np.clip(conditions, trained.lowest, trained.highest), one)
+        hidden = np.append(np.maximum(known @ trained.hidden, 0), one)
+        return np.asarray(hidden @ trained.tune).reshape(len(self.kernels), -1)
