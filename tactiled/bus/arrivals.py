@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from tactiled.bus.batch import Batch
 from tactiled.bus.codec import NO_SEQUENCE, Codec, Readings
 
-NOWHERE = np.zeros(0, np.int64)
+NOWHERE, UNDIVIDED = np.zeros(0, np.int64), np.full(1, -1)
 DESCENTS_PER_SEGMENT = 8  # segments: if descents are rarer, each ends a run, which is faster
 
 
@@ -54,6 +54,8 @@ def decoded(
     if isinstance(came, np.ndarray):
         came = came if now is None or rows is None else came[rows]
         newest = np.maximum.accumulate(came)
+    if len(readings.times) == 1:
+        return Arrivals(readings, came, newest, rows, UNDIVIDED, [], times_rise=True), malformed
     divided, descents = _divided(readings, codec)
     times_rise = bool(np.logical_and.reduce(readings.times[1:] >= readings.times[:-1]))
     return Arrivals(readings, came, newest, rows, divided, descents, times_rise), malformed

@@ -149,7 +149,7 @@ class Assembler:
         stops = arrivals.divided[at + 1 : end] >= at
         if frame.missing < self.codec.segments:
             stops |= frame.blocked(self.codec.ordered)[segments[1:]]
-        if self._cycle is not None and (wraps := self._cycle.wraps(segments)) is not None:
+        if self._cycle is not None and (wraps := self._cycle.wraps(segments[:-1], segments[1:])) is not None:
             stops |= wraps
         first = int(stops.argmax())
         return at + 1 + first if stops[first] else end
@@ -170,10 +170,9 @@ class Assembler:
     def _begins(self, frame: OpenFrame, segment: int) -> bool:
         """Whether a segment without a sequence number begins a new frame."""
         end = (segment // self.codec.ordered + 1) * self.codec.ordered
-        if frame.present[segment:end].any() or self._cycle is None:
+        if np.logical_or.reduce(frame.present[segment:end]) or self._cycle is None:
             return True
-        wraps = self._cycle.wraps(np.array((frame.segments[-1][-1], segment)))
-        return wraps is not None and bool(wraps[0])
+        return bool(self._cycle.wraps(frame.segments[-1][-1], segment))
 
     def _count_others(self, row: int) -> None:
         """Count the malformed and foreign messages up to a row of the batch."""

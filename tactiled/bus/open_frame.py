@@ -98,15 +98,12 @@ class Cycle:
         self._seam: int | None = None  # the segment before which the longest pause is; None: the first
         self._seams = 0  # frames in a row with this `_seam`
 
-    def wraps(self, segments: NDArray[np.int64]) -> NDArray[np.bool_] | None:
-        """Which of these segments, from the second on, are so far back in the order that they begin a new frame.
+    def wraps(self, before: Any, segments: Any) -> Any:
+        """Whether segments (n,), or one, are so far back in the order behind these that they begin a new frame.
 
         None: no order is known.
         """
-        if self._rank is None:
-            return None
-        ranks = self._rank[segments]
-        return 2 * (ranks[:-1] - ranks[1:]) >= self._length
+        return None if self._rank is None else 2 * (self._rank[before] - self._rank[segments]) >= self._length
 
     def learn(self, frame: OpenFrame, pause: float) -> None:
         """Look at a closed frame that came after a `pause` (s)."""

@@ -113,12 +113,13 @@ class Reader:
                 batch = self._frames.read(timeout, needed)
             except OSError as error:
                 raise _bus_error(error, self.label, self._redact) from error
-        special = batch.ids & (ERROR | REMOTE) > 0
-        if np.logical_or.reduce(special):
-            batch = self._without(batch, np.flatnonzero(special).tolist())
+        flags = int(np.bitwise_or.reduce(batch.ids))
+        if flags & (ERROR | REMOTE):
+            batch = self._without(batch, np.flatnonzero(batch.ids & (ERROR | REMOTE)).tolist())
         elif len(batch):
             self.off = None
-        batch.ids[...] &= np.where(batch.ids & EXTENDED, EXTENDED | EXTENDED_ID, STANDARD_ID).astype(np.uint32)
+        if flags & ~(EXTENDED | STANDARD_ID):
+            batch.ids[...] &= np.where(batch.ids & EXTENDED, EXTENDED | EXTENDED_ID, STANDARD_ID).astype(np.uint32)
         return batch
 
     def _gathered(self, timeout: float, needed: int) -> Batch:

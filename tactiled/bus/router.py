@@ -40,6 +40,7 @@ class Router:
         self._keys = np.array([*(key for key, _ in keys), 0xFFFFFFFF], np.uint32)  # the last is no id
         self._names = list(self.assemblers)
         self._owners = np.array([*(self._names.index(name) for _, name in keys), STRANGER])
+        self._by_key = {key: self._names.index(name) for key, name in keys}
 
     @property
     def ids(self) -> frozenset[tuple[int, bool]]:
@@ -56,11 +57,10 @@ class Router:
         batch = Batch.of((batch,)) if isinstance(batch, Message) else batch
         if not len(batch):
             return ()
-        at = np.searchsorted(self._keys, batch.ids)
-        owned = self._keys[at] == batch.ids
-        owners = np.where(owned, self._owners[at], STRANGER)
-        if (number := int(owners[0])) != STRANGER and np.logical_and.reduce(owners == number):
-            name = self._names[number]
+        first = self._by_key.get(int(batch.ids[0]), STRANGER)
+        owners = self._owners_of(batch.ids) if len(batch) > 1 or first == STRANGER else None
+        if owners is None or (first != STRANGER and np.logical_and.reduce(owners == first)):
+            name = self._names[first]
             return tuple([(name, frame) for _, frame in self.assemblers[name].push(batch, now)])
         strangers = np.flatnonzero(owners == STRANGER)
         closed: list[tuple[int, str, RawFrame]] = []
@@ -73,6 +73,11 @@ class Router:
             closed += ((int(rows[row]), name, frame) for row, frame in frames)
         closed.sort(key=lambda each: each[0])
         return tuple((name, frame) for _, name, frame in closed)
+
+    def _owners_of(self, ids: NDArray[np.uint32]) -> NDArray[np.int64]:
+        """Number (n,) of the sensor of every id (n,)."""
+        at = np.searchsorted(self._keys, ids)
+        return np.where(self._keys[at] == ids, self._owners[at], STRANGER)
 
     def flush(self, before: float) -> Frames:
         """Close, marked, every frame whose newest message came before time `before` (s)."""

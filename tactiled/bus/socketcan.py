@@ -41,12 +41,13 @@ class FrameReader:
         self._poll.register(descriptor, select.POLLIN)
         self._recvmmsg = ctypes.PyDLL(None, use_errno=True).recvmmsg  # never waits, so it keeps the interpreter
         self._buffer = bytearray(MAX_FRAMES * FRAME.itemsize)
-        self._stamps = np.zeros(MAX_FRAMES, STAMP)
+        stamps = np.zeros(MAX_FRAMES, STAMP)
+        self._stamps = stamps["s"], stamps["ns"]
         self._parts = ctypes.create_string_buffer(MAX_FRAMES * PART.size)
         self._headers = ctypes.create_string_buffer(MAX_FRAMES * HEADER.size)
         self._header_bytes = memoryview(self._headers).cast("B")
-        self._sizes = np.frombuffer(self._header_bytes, SIZE)
-        frame, stamp = np.frombuffer(self._buffer).ctypes.data, self._stamps.ctypes.data
+        self._sizes = np.frombuffer(self._header_bytes, SIZE)["bytes"]
+        frame, stamp = np.frombuffer(self._buffer).ctypes.data, stamps.ctypes.data
         part = ctypes.addressof(self._parts)
         for n in range(MAX_FRAMES):
             PART.pack_into(self._parts, n * PART.size, frame + n * FRAME.itemsize, FRAME.itemsize)
@@ -79,9 +80,7 @@ class FrameReader:
 
     def _receive(self, at: int) -> int:
         """Take what is there behind the first `at` frames; how many."""
-        start = at * HEADER.size
-        self._header_bytes[start:] = self._blank[start:]  # the kernel has written into them
-        headers = ctypes.c_void_p(ctypes.addressof(self._headers) + start)
+        headers = ctypes.c_void_p(ctypes.addressof(self._headers) + at * HEADER.size)
         count = self._recvmmsg(self._descriptor, headers, MAX_FRAMES - at, socket.MSG_DONTWAIT, None)
         if count < 0:
             code = ctypes.get_errno()
@@ -95,9 +94,10 @@ class FrameReader:
         return int(count)
 
     def _batch(self, count: int) -> Batch:
-        frames, stamps = np.frombuffer(self._buffer[: count * FRAME.itemsize], FRAME), self._stamps[:count]
-        lengths, data = frames["length"], frames["data"]
-        if (short := np.flatnonzero(lengths < MAX_BYTES)).size:  # behind their data may be anything
-            data[short] *= lengths[short, None] > COLUMNS
-        fd = self._sizes["bytes"][:count] == FRAME.itemsize
-        return Batch(stamps["s"] + 1e-9 * stamps["ns"], frames["id"], lengths, data, fd)
+        frames = np.frombuffer(self._buffer[: count * FRAME.itemsize], FRAME)
+        lengths, data, (seconds, ns) = frames["length"], frames["data"], self._stamps
+        if np.minimum.reduce(lengths, initial=MAX_BYTES) < MAX_BYTES:  # behind their data may be anything
+            data *= lengths[:, None] > COLUMNS
+        fd, end = self._sizes[:count] == FRAME.itemsize, count * HEADER.size
+        self._header_bytes[:end] = self._blank[:end]  # the kernel has written into them
+        return Batch(seconds[:count] + 1e-9 * ns[:count], frames["id"], lengths, data, fd)

@@ -192,7 +192,7 @@ class Stream:
         if self._lines.get(line.feed.sensor.name) is not line or self._has_nothing(line):
             return
         self._due[line] = None
-        if self._error is None and self._protocol.keeps_up():
+        if self._error is None:
             try:
                 self._send_due()
             except Exception as error:  # the task that serves the client ends with it
