@@ -51,17 +51,3 @@ static int redraw_image(int inputs, int filters, long rows, long columns, const 
   free(memory);
   return 0;
 }
-
-static void product(long m, long n, long l, const float *a, long down, long across, const float *b, float *out) {
-  if (n >= 4) {
-    const int width = vector_width(n);
-    AT_WIDTH(width, product, m, n, l, a, down, across, b, out);
-    return;
-  }
-  for (long i = 0; i < m; i++)
-    for (long j = 0; j < n; j++) {
-      float sum = 0;
-      for (long k = 0; k < l; k++) sum += a[i * down + k * across] * b[k * n + j];
-      out[i * n + j] = sum;
-    }
-}

@@ -6,7 +6,41 @@ from libc.stdlib cimport free, malloc
 cdef extern from "network.h" nogil:
     int redraw_image(int inputs, int filters, long rows, long columns, const float *images, const float *fixed,
                      const float *kernels, const float *scales, const float *offsets, const float *draw, float *out)
+
+cdef extern from "products.h" nogil:
     void product(long m, long n, long l, const float *a, long down, long across, const float *b, float *out)
+
+
+def tune(
+    const float[::1] conditions,
+    const float[::1] lowest,
+    const float[::1] highest,
+    const float[:, ::1] hidden,
+    const float[:, ::1] last,
+    float[::1] out,
+):
+    """Fit a network to its conditions (c,): out (n,) = [max([k, 1] hidden, 0), 1] last.
+
+    k are the conditions, none outside `lowest` to `highest` (c,); `hidden` (c + 1, m), `last` (m + 1, n), whose last
+    rows are constants. ValueError where shapes do not fit.
+    """
+    cdef long c = conditions.shape[0], m = hidden.shape[1], n = out.shape[0], i, j
+    cdef float known, unit
+    if not (lowest.shape[0] == highest.shape[0] == c == hidden.shape[0] - 1 and m == last.shape[0] - 1
+            and n == last.shape[1]):
+        raise ValueError("tune: shapes do not fit")
+    with nogil:
+        for j in range(n):
+            out[j] = last[m, j]
+        for i in range(m):
+            unit = hidden[c, i]
+            for j in range(c):
+                known = min(max(conditions[j], lowest[j]), highest[j])
+                unit += known * hidden[j, i]
+            if unit <= 0:
+                continue
+            for j in range(n):
+                out[j] += unit * last[i, j]
 
 
 def redraw(

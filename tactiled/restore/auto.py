@@ -9,6 +9,7 @@ from math import sqrt
 
 import numpy as np
 
+from tactiled.core import coefficients
 from tactiled.restore import learned
 from tactiled.restore.deviation import deviation, raw_deviation
 from tactiled.restore.modes import Floats, Image
@@ -48,7 +49,6 @@ class Auto:
         self._sum = SUM_SIGMAS * scene.noise * sqrt(size)
         self._unrefined = scene.array.frame_shape == scene.array.surface_shape
         self._too_thin = self._unrefined and self.loads.unavailable == TOO_THIN
-        self._below = np.empty(scene.blur.surface_shape, np.float32)
         zeros = np.zeros(scene.blur.surface_shape, np.float32)
         zeros.setflags(write=False)
         self._idle = Restored(zeros, "idle", IDLE, 0, 0.0, scene.widest_mm)
@@ -117,9 +117,8 @@ class Auto:
 
     def _negative(self, linear: Image) -> float:
         """Norm of an image's negative part over its norm: no pressure is below zero, so that much is wrong."""
-        np.minimum(linear, self._idle.image, out=self._below)
-        flat, below = linear.reshape(-1), self._below.reshape(-1)
-        return sqrt(float(below.dot(below)) / max(float(flat.dot(flat)), 1e-30))
+        _, above, below = coefficients.signed_sums(linear.reshape(len(linear), -1))
+        return sqrt(below / max(above + below, 1e-30))
 
 
 def _sharp(scene: Scene, wiener: Wiener) -> learned.Learned | TotalVariation | Nonnegative:

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tactiled.core import network
+from tactiled.core import coefficients, network
 from tactiled.restore.blur import Blur
 from tactiled.restore.modes import Image
 from tactiled.restore.scene import Scene
@@ -73,15 +73,12 @@ class Conditions:
     def __init__(self, scene: Scene) -> None:
         self.values = np.concatenate([np.ones(OF_FRAME, np.float32), cover_gains(scene.blur)])
         self._scene = scene
-        self._ones, self._pressed = (np.ones(scene.blur.surface_shape, np.float32) for _ in range(2))
-        self._zeros = np.zeros_like(self._ones)
 
     def __call__(self, linear: Image, noise_gain: float, scale: float) -> NDArray[np.float32]:
         """Give those of the scene's frame, by its linear image, whose largest value is `scale` (kPa)."""
-        spectrum, pressed = self._scene.spectrum, self._pressed.reshape(-1)
-        np.maximum(linear, self._zeros, out=self._pressed)
-        total, squares = float(pressed.dot(self._ones.reshape(-1))), float(pressed.dot(pressed))
-        share = total**2 / (squares * pressed.size) if squares else 1.0
+        spectrum = self._scene.spectrum
+        total, squares, _ = coefficients.signed_sums(linear)
+        share = total**2 / (squares * linear.size) if squares else 1.0
         self.values[0] = log(self._scene.noise / scale) / 3 + 1.5
         self.values[1] = log(spectrum.level) / 5 - 1
         self.values[2] = log(spectrum.corner) / 2 + 1
@@ -132,22 +129,20 @@ class Learned:
 
     def _run(self, stages: "Stages", start: Image) -> int:
         """Make the image, over its scale, by all stages that there is time for; gives their number."""
-        image, noise, done, (span, middle) = self.image, self._scene.noise / self._scale, 0, FIRMNESS
-        consistent, redrawn, self._images[2] = self._images[0], self._images[1], start
-        redrawn[...] = start
-        np.maximum(start, 0, out=image)
-        consistent[...] = image
+        noise, done, (span, middle) = self._scene.noise / self._scale, 0, FIRMNESS
+        self._images[1:] = start
+        consistent, image = self._images[0], self._images[1]
+        np.maximum(start, 0, out=consistent)
         tuned = stages.tune(self._conditions.values)
         while done < len(tuned) and not self._scene.cut():
             if done:
-                redrawn[...] = image
                 self._hold(image, noise**2 * exp(span * tuned.item(done - 1, -1) + middle), consistent)
             scales, offsets = tuned[done, : stages.filters], tuned[done, stages.filters : -1]
             kernels, draw = stages.kernels[done], stages.draw[done]
             network.redraw(self._images, self._fixed, kernels, scales, offsets, draw, self._drawn)
             np.add(consistent, self._drawn, out=image)
             done += 1
-        np.maximum(image, 0, out=image)
+        np.maximum(image if done else consistent, 0, out=self.image)
         return done
 
     def _misfit(self) -> float:
@@ -176,7 +171,6 @@ class Stages:
 
     def tune(self, conditions: NDArray[np.float32]) -> Image:
         """Fit the stages (S, 2 F + 1) to a frame's conditions: a layer of units that are cut off below zero."""
-        trained, one = self._trained, np.ones(1, np.float32)
-        known = np.append(np.clip(conditions, trained.lowest, trained.highest), one)
-        hidden = np.append(np.maximum(known @ trained.hidden, 0), one)
-        return np.asarray(hidden @ trained.tune).reshape(len(self.kernels), -1)
+        trained, tuned = self._trained, np.empty(self._trained.tune.shape[1], np.float32)
+        network.tune(conditions, trained.lowest, trained.highest, trained.hidden, trained.tune, tuned)
+        return tuned.reshape(len(self.kernels), -1)

@@ -10,6 +10,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tactiled.core import coefficients
+
 Floats = NDArray[np.float64]
 Image = NDArray[np.float32]
 
@@ -18,26 +20,19 @@ HALF_SPACE = (1 + DEPTHS) * np.exp(-DEPTHS)  # gain, by Boussinesq
 
 
 class Transform:
-    """x -> left x right for frames (m, n), or x -> left x for vectors (m,), on buffers of its own.
-
-    By the arrays' own `dot`: `np.dot` first asks who else may want the call, half as long as a small product.
-    """
+    """x -> left x right for frames (m, n), or x -> left x for vectors (m,)."""
 
     def __init__(self, bases: tuple[Floats, ...]) -> None:
-        self._rows = np.ascontiguousarray(bases[0], np.float32)
-        self._columns = np.ascontiguousarray(bases[1].T, np.float32) if len(bases) == 2 else None
+        self.left = np.ascontiguousarray(bases[0], np.float32)
+        self.right = np.ascontiguousarray(bases[1].T if len(bases) == 2 else np.eye(1), np.float32)
         self.shape = tuple(len(basis) for basis in bases)
-        self._between = np.empty(
-            (len(self._rows), len(self._columns) if self._columns is not None else 0), np.float32
-        )
 
     def __call__(self, x: Image, out: Image) -> Image:
         """Fill `out` and return it; float32, C-contiguous."""
-        if self._columns is None:
-            self._rows.dot(x, out)
+        if len(self.shape) == 1:
+            self.left.dot(x, out)
         else:
-            self._rows.dot(x, self._between)
-            self._between.dot(self._columns, out)
+            coefficients.transform(self.left, x, self.right, out)
         return out
 
     def empty(self) -> Image:

@@ -10,19 +10,18 @@ taxels of a row or column share those that vary along one axis alone. What stand
 import numpy as np
 from scipy.special import chdtri
 
-from tactiled.restore.modes import Floats, Image, Modes, Transform
+from tactiled.core import coefficients
+from tactiled.restore.modes import Floats, Image, Modes
 from tactiled.restore.prior import MAX_AMPLIFICATION
 
 # Chosen on scenes of the first family and on those that the network is trained on.
-WINDOW = 5  # modes along each axis whose power is averaged
+WINDOW = 5  # modes along each axis whose power is averaged, as in `outstanding`
 FALSE_ALARMS = 1e-3  # of frames of noise alone, in which a mode stands out
 QUIET = 0.25  # of the modes, those of least gain
-MEDIAN = 0.455  # of a normal variable's square
-MOST = 1e18  # of a power over the noise's: more overflows, and changes nothing
 
 
 class NarrowBand:
-    """Finds such modes, and gives the filter's `weight` with them; allocates nothing a frame."""
+    """Finds such modes, and gives the filter's `weight` with them."""
 
     def __init__(self, modes: Modes, noise: float, gain_variance: Floats) -> None:
         """`noise` in kPa; `gain_variance` of each taxel mode's gain, as the cover's model may be wrong."""
@@ -30,7 +29,6 @@ class NarrowBand:
         rows, columns = (_neighbours(n) for n in gain.shape)
         count = rows.sum(axis=1)[:, None] * columns.sum(axis=1)
         rows, columns = (each / each.sum(axis=1)[:, None] for each in (rows, columns))
-        self._average = Transform((rows, columns))
         strong = gain > 1 / MAX_AMPLIFICATION
         clear = chdtri(count, FALSE_ALARMS / gain.size) / count - 1
         self._clear = np.where(strong, clear, np.inf)  # power over the noise's that noise hardly ever has
@@ -39,20 +37,12 @@ class NarrowBand:
         quiet = np.zeros(gain.size, np.float32)
         quiet[np.argsort(gain, axis=None)[: max(1, int(QUIET * gain.size))]] = 1
         self._variance = noise**2
-        self._quiet = quiet / quiet.sum() / np.float32(self._variance)  # mean over them, over the noise's variance
+        self._quiet = (quiet / quiet.sum()).reshape(gain.shape)
         # Power of what is the same all along an axis, in each of the axis' modes, over that in the first.
         shares = [basis.sum(axis=0) ** 2 for basis in modes.taxel]
         down, across = (mean @ (share / share[0]) for mean, share in zip((rows, columns), shares, strict=True))
-        self._down = down.astype(np.float32)
-        self._by_row = np.ones((len(down), 3), np.float32)  # what columns share, what rows share, and the noise
-        self._by_column = np.stack([np.ones_like(across), across, np.ones_like(across)]).astype(np.float32)
-        self._sorted = [np.empty(n - n // 2, np.float32) for n in gain.shape]
-        self._power, self._level = self._average.empty(), self._average.empty()
-        self.weight = self._average.empty()
-        self._mask = np.zeros(gain.shape, bool)
-        self._factor, self._one = np.zeros((), np.float32), np.ones((), np.float32)
-        self._most = np.full((), MOST, np.float32)
-        self._zeros = np.zeros_like(self._power)
+        self._down, self._across = down.astype(np.float32), across.astype(np.float32)
+        self.weight = np.empty(gain.shape, np.float32)
 
     def limit(self, expected: Floats) -> Image:
         """Give the power of each mode, over that of the noise, above which it stands out of a spectrum.
@@ -63,43 +53,9 @@ class NarrowBand:
 
     def __call__(self, squares: Image, limit: Image, weight: Image) -> bool:
         """Take in a frame's squared coefficients and a filter; gives whether any mode stands out."""
-        power, level, factor = self._average(squares, self._power), self._level, self._factor
-        quiet = max(1.0, float(self._quiet.dot(squares.reshape(-1))))
-        factor[()] = 1 / (quiet * self._variance)
-        np.multiply(power, factor, out=power)
-        np.greater(power, limit, out=self._mask)
-        if not self._mask.any():
-            return False
-        factor[()] = quiet
-        np.multiply(power, factor, out=power)
-        np.minimum(power, self._most, out=power)
-        np.maximum(self._shared(squares), factor, out=level)
-        np.multiply(level, limit, out=level)
-        np.greater(power, level, out=self._mask)
-        np.subtract(power, self._one, out=power)
-        np.maximum(power, self._zeros, out=power)
-        np.multiply(power, self._firm, out=level)
-        np.add(level, self._one, out=level)
-        np.multiply(power, self._inverse, out=power)
-        np.divide(power, level, out=power)
-        np.copyto(self.weight, weight)
-        np.copyto(self.weight, power, where=self._mask)
-        return bool(self._mask.any())
-
-    def _shared(self, squares: Image) -> Image:
-        """Power of the noise in every mode, over that of the taxels' own, with what rows and columns share."""
-        row, column = (n // 2 for n in squares.shape)
-        of_columns = self._excess(squares[0, column:], self._sorted[1])
-        np.multiply(self._down, of_columns, out=self._by_row[:, 0])
-        self._by_row[:, 1] = self._excess(squares[row:, 0], self._sorted[0])
-        self._by_row.dot(self._by_column, self._level)
-        return self._level
-
-    def _excess(self, squares: Image, ordered: Image) -> float:
-        """How far the median of some squares is above that of the noise, over the noise's variance; 0 if not."""
-        np.copyto(ordered, squares)
-        ordered.sort()
-        return min(MOST, max(0.0, ordered.item(len(ordered) // 2) / (MEDIAN * self._variance) - 1))
+        ratio = squares * np.float32(1 / self._variance)
+        of_modes, shared = (self._inverse, self._firm), (self._down, self._across)
+        return coefficients.outstanding(ratio, limit, self._quiet, *shared, *of_modes, weight, self.weight)
 
 
 def _neighbours(n: int) -> Floats:

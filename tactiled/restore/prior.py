@@ -12,6 +12,7 @@ from itertools import product
 import numpy as np
 from numpy.typing import NDArray
 
+from tactiled.core import coefficients
 from tactiled.restore.modes import Floats, Image, Modes, Transform
 
 # The family was chosen on the scenes of `python -m tests.study judge --family first`.
@@ -41,7 +42,7 @@ class Spectrum:
 
 
 class Prior:
-    """The family of spectra for one blur and one noise; `pick` is allocation-free."""
+    """The family of spectra for one blur and one noise."""
 
     def __init__(
         self,
@@ -55,9 +56,6 @@ class Prior:
         self._analyse = Transform(tuple(basis.T for basis in bases))
         own_shape = self._analyse.shape
         self._first = [_half_octaves(n) for n in own_shape]
-        indicators = [_indicator(n, first) for n, first in zip(own_shape, self._first, strict=True)]
-        self._rows = indicators[0]
-        self._columns = np.ascontiguousarray(indicators[1].T) if len(indicators) == 2 else None
         count = self._pool(np.ones(own_shape))
         self.spectra: list[Spectrum] = []  # their levels rise
         costs: list[list[float]] = []
@@ -70,12 +68,8 @@ class Prior:
             # The logarithms ride along as one more block, whose power is always 1.
             costs.append([*(self._pool(1 / v) / count).ravel(), np.log(v).sum()])
             self.spectra.append(spectrum)
-        self._cost_of = np.array(costs, np.float32, order="F")  # BLAS runs down columns sooner than along rows
-        self._squares = self._analyse.empty()
-        self._blocks = np.ones(count.size + 1, np.float32)
-        self._power = self._blocks[:-1].reshape(count.shape)
-        self._between = np.empty((len(self._rows), *own_shape[1:]), np.float32)
-        self._cost = np.empty(len(self._cost_of), np.float32)
+        self._costs = np.array(costs, np.float32)
+        self._blocks = self._first[0], self._first[1] if len(own_shape) == 2 else np.zeros(1, np.int64)
 
     def _pool(self, values: Floats) -> Floats:
         # Not by a matrix product: BLAS kernels may raise floating-point flags from lanes that they then discard.
@@ -85,25 +79,13 @@ class Prior:
 
     def pick(self, y: Image) -> Spectrum:
         """Give the most likely spectrum for a frame without gaps."""
-        squares = self._analyse(y, self._squares)
-        np.multiply(squares, squares, out=squares)
-        if self._columns is None:
-            self._rows.dot(squares, self._power)
-        else:
-            self._rows.dot(squares, self._between)
-            self._between.dot(self._columns, self._power)
-        self._cost_of.dot(self._blocks, self._cost)
-        return self.spectra[self._cost.argmin()]
+        analyse, (rows, columns), frame = self._analyse, self._blocks, y.reshape(len(y), -1)
+        return self.spectra[coefficients.likeliest(analyse.left, frame, analyse.right, rows, columns, self._costs)]
 
 
-def _half_octaves(n: int) -> NDArray[np.intp]:
+def _half_octaves(n: int) -> NDArray[np.int64]:
     """Where blocks of half an octave of n modes begin."""
     edges = [0, 1, 2, 3]
     while edges[-1] < n:
         edges.append(edges[-2] * 2)
     return np.array([edge for edge in edges if edge < n])
-
-
-def _indicator(n: int, first: NDArray[np.intp]) -> Image:
-    block = np.searchsorted(first, np.arange(n), side="right") - 1
-    return np.asarray(block == np.arange(len(first))[:, None], np.float32)
