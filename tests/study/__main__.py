@@ -9,7 +9,6 @@ from tests.study import (
     bus,
     contacts,
     cover,
-    eflesh,
     felt,
     frame_times,
     health,
@@ -22,16 +21,15 @@ from tests.study import (
     sensors,
     soak,
     train,
-    transitions,
     zenoh,
 )
 
 app = typer.Typer(add_completion=False, no_args_is_help=True)
 for measurement in (
-    blind.blind, border.border, bus.bus, bus.against, contacts.contacts, cover.cover, eflesh.eflesh, felt.felt,
+    blind.blind, border.border, bus.bus, bus.against, contacts.contacts, cover.cover, felt.felt,
     frame_times.frame_times, frame_times.frames_against, health.health, insole.insole, invented.invented,
     judge.judge, mistakes.mistakes, restart.restart, restore.restore, sensors.sensors,
-    sensors.sensors_against, soak.soak, train.train, transitions.transitions, zenoh.zenoh,
+    sensors.sensors_against, soak.soak, train.train, zenoh.zenoh,
 ):  # fmt: skip
     app.command()(measurement)
 

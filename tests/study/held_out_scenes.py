@@ -168,12 +168,5 @@ def held_out(scene, skin, seed, motion="still", frame=0):
     return PEAK_KPA * window * HELD_OUT_SCENES[scene](x, y, half, np.random.default_rng(seed))
 
 
-def growing_bump(skin, seed, frame):
-    """The pressure (kPa) of a bump that grows slowly."""
-    x, y = _places(skin)
-    (a, b), width = np.random.default_rng(seed).uniform(-3, 3, 2), 0.6 + 0.06 * frame
-    return 0.01 * PEAK_KPA * (15 + frame) * np.exp(-((x - a) ** 2 + (y - b) ** 2) / (2 * width**2))
-
-
 def _places(skin):
     return skin.surface.x / skin.array.pitch, skin.surface.y / skin.array.pitch
