@@ -1,21 +1,16 @@
 """How much one service carries: sensors, clients and rates, in CAN FD frames as SocketCAN gives them."""
 
-import asyncio
 import multiprocessing
 import socket
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from itertools import zip_longest
 from multiprocessing.connection import Connection
-from multiprocessing.synchronize import Event
-from struct import Struct
 from typing import Any, NamedTuple
 from urllib.parse import quote
 
 import numpy as np
-import uvloop
-from websockets.asyncio.client import connect
 
 from tactiled.bus.codecs.packed import Packed
 from tactiled.bus.socketcan import SO_TIMESTAMPNS, FrameReader
@@ -27,8 +22,8 @@ from tactiled.runtime.bus_thread import BusThread
 from tactiled.runtime.sensor import Sensor
 from tactiled.runtime.service import Service
 from tactiled.simulate.playback import SCENE_S, TOUR, player
+from tactiled.study.load_ends import core_meter, receive_all, send
 from tactiled.web.server import running
-from tactiled.wire import unpack
 
 WARM_UP_S = 3.0  # connections, caches and the measured noise settle
 DRAIN_S = 0.5  # after the last frame was sent
@@ -37,9 +32,6 @@ SERVER = Server(port=0, streams_per_client=0, streams=0)
 SCENE_FRAMES = 128  # of each scene, at the speed at which it moves: with those of the others a multiple of 256
 SENSORS_PER_BUS = 4  # more of 32 x 32 at 100 Hz do not fit on one bus of CAN FD
 BUFFER_BYTES = 8 << 20  # of a bus's socket
-CAN_FRAME = Struct("=IB3x64s")  # of Linux, CAN FD
-UDP_SEGMENT = 103  # of Linux; Python's socket module has no name for it
-NEXT = '{"type": "next"}'
 BUS = '[bus.b{bus}]\ninterface = "socketcan"\nchannel = "load{bus}"\nfd = true\n'
 SENSOR = """
 [sensor.s{number}]
@@ -50,7 +42,6 @@ cover = {{ thickness_mm = 1.0, young_mpa = 0.6, poisson = 0.48 }}
 calibration = {{ kpa_per_count = 0.05, no_load = 100 }}
 """
 HEADINGS = ("arrays", "clients", "Hz", "flow", "cores", "p50 ms", "p99 ms", "sent", "lost", "unseen")
-Ages = list[tuple[int, float]]  # sequence number, s (Unix) of arrival
 
 
 class Load(NamedTuple):
@@ -135,18 +126,18 @@ def measure(
         base = f"{system.url.replace('http', 'ws', 1)}/api/v1/sensors"
         names = [quote(system.names[n % sensors], safe="") for n in range(clients)]
         urls = [f"{base}/{name}/stream?kinds=restored{flow}" for name in names]
-        receiver = context.Process(target=_receive_all, args=(urls, pull, end, to_received), daemon=True)
+        receiver = context.Process(target=receive_all, args=(urls, pull, end, to_received), daemon=True)
         receiver.start()
         to_received.close()  # so that the end of a process ends the wait for it
         from_clients.recv()  # connected
         sending = system.targets, payloads, rate_hz, span_s, to_sent
-        sender = context.Process(target=_send, args=sending, daemon=True)
+        sender = context.Process(target=send, args=sending, daemon=True)
         sender.start()
         to_sent.close()
         from_sender.recv()  # it begins
         time.sleep(WARM_UP_S)
         system.begin()
-        busy_cores = _core_meter()
+        busy_cores = core_meter()
         time.sleep(seconds)
         cores = busy_cores()
         send_times = from_sender.recv()
@@ -177,12 +168,6 @@ def _listening(sensors: int) -> tuple[Service, list[tuple[int, int]]]:
     service = Service(configuration(sensors), listen)
     plans = [each.plan for each in service.sensors.values()]
     return service, [(sockets[each.bus].port, each.codec.id) for each in plans if isinstance(each.codec, Packed)]
-
-
-def _core_meter() -> Callable[[], float]:
-    """How to get the cores that this process has kept busy from now on."""
-    busy, began = time.process_time(), time.perf_counter()
-    return lambda: (time.process_time() - busy) / (time.perf_counter() - began)
 
 
 def _lost(service: Service) -> int:
@@ -248,7 +233,7 @@ def _read(endpoint: str, robot: str, sensors: int, pipe: Connection) -> None:
     with service.running(), publishing(service, SERVER, Zenoh(connect=(endpoint,), robot=robot)):
         pipe.send(targets)
         pipe.recv()  # begin
-        busy_cores = _core_meter()
+        busy_cores = core_meter()
         pipe.recv()  # end
         pipe.send((_lost(service), busy_cores()))
 
@@ -263,63 +248,3 @@ def line(sensors: int, rate_hz: float, pull: bool, result: Load) -> tuple[str, .
         f"{result.cores:.2f} + {result.client_cores:.2f}", f"{p50:.2f}", f"{p99:.2f}",
         f"{result.frames * sensors}", f"{result.lost}", f"{unseen:.2%}",
     )  # fmt: skip
-
-
-def _send(
-    targets: Sequence[tuple[int, int]],
-    payloads: Sequence[Sequence[bytes]],
-    rate_hz: float,
-    span_s: float,
-    results: Connection,
-) -> None:
-    """Send every sensor's frames, one sensor after another in a period; then the time (s) of each."""
-    frames = [
-        [b"".join(CAN_FRAME.pack(id_, len(data), data) for data in frame) for frame in payloads]
-        for _, id_ in targets
-    ]
-    send_times: list[list[float]] = [[] for _ in targets]
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as out:
-        out.setsockopt(socket.IPPROTO_UDP, UDP_SEGMENT, CAN_FRAME.size)  # a datagram each, in one call
-        results.send("begun")
-        began = time.monotonic()
-        for n in range(round(span_s * rate_hz)):
-            for place, (port, _) in enumerate(targets):
-                due = began + (n + place / len(targets)) / rate_hz
-                time.sleep(max(0.0, due - time.monotonic()))
-                send_times[place].append(time.time())
-                out.sendto(frames[place][n % len(payloads)], ("127.0.0.1", port))
-    results.send(send_times)
-
-
-def _receive_all(urls: Sequence[str], pull: bool, end: Event, results: Connection) -> None:
-    uvloop.run(_receive(urls, pull, end, results))
-
-
-async def _receive(urls: Sequence[str], pull: bool, end: Event, results: Connection) -> None:
-    """Note when each sequence number came to each client, until `end`."""
-    arrivals: list[Ages] = [[] for _ in urls]
-    connected = asyncio.Barrier(len(urls) + 1)
-    tasks = [
-        asyncio.create_task(_client(url, pull, connected, own)) for url, own in zip(urls, arrivals, strict=True)
-    ]
-    await connected.wait()
-    results.send("connected")
-    busy_cores = _core_meter()
-    while not end.is_set():
-        await asyncio.sleep(0.1)
-    results.send((arrivals, busy_cores()))
-    for task in tasks:
-        task.cancel()
-    await asyncio.gather(*tasks, return_exceptions=True)
-
-
-async def _client(url: str, pull: bool, connected: asyncio.Barrier, arrivals: Ages) -> None:
-    async with connect(url, compression=None) as stream:
-        await connected.wait()
-        if pull:
-            await stream.send(NEXT)
-        async for data in stream:
-            if isinstance(data, bytes):
-                arrivals.append((unpack(data).sequence, time.time()))
-                if pull:
-                    await stream.send(NEXT)

@@ -8,7 +8,8 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from tactiled.runtime import bus_thread
-from tactiled.study.load import CAN_FRAME, FrameSocket
+from tactiled.study.load import FrameSocket
+from tactiled.study.load_ends import CAN_FRAME
 from tactiled.study.results import machine
 from tests.process import Running
 from tests.study.sensors import SENSOR, recorded
