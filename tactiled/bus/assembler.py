@@ -1,6 +1,5 @@
 """Readings to frames: lost messages are counted and marked, never made up; pure."""
 
-from bisect import bisect_right
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 
@@ -90,7 +89,7 @@ class Assembler:
             if places.size
         ]
         frames: list[tuple[int, RawFrame]] = []
-        at, count = 0, 0 if arrivals is None else len(arrivals.divided)
+        at, count = 0, 0 if arrivals is None else len(arrivals.readings.segments)
         while arrivals is not None and at < count:
             at = self._take(arrivals, at, frames)
         self._count_others(len(batch))
@@ -123,36 +122,19 @@ class Assembler:
                 frame.disputed.add(segment)
                 frame.ended = max(frame.ended, float(readings.times[at]))
             return at + 1
-        some = slice(at, self._end(arrivals, at, frame))
-        last = some.stop - 1
-        ascending = bisect_right(arrivals.descents, at) == bisect_right(arrivals.descents, last)
+        end, newest, late = frame.add(arrivals, at, self._cycle)
         if self._cycle is None:
-            self.count("late", frame.late(readings.segments[some], ascending))
-        frame.add(arrivals, some, ascending)
-        self._newest = max(self._newest, moment(arrivals.newest, last))
+            self.count("late", late)
+        self._newest = max(self._newest, newest)
         if not frame.missing:
-            frames += self._closed_by(arrivals.row(last))
-        return some.stop
+            frames += self._closed_by(arrivals.row(end - 1))
+        return end
 
     def _closed_by(self, row: int) -> list[tuple[int, RawFrame]]:
         """Close the open frame at a message of the batch."""
         if self._others:
             self._count_others(row)
         return [(row, each) for each in self._close()]
-
-    def _end(self, arrivals: Arrivals, at: int, frame: OpenFrame) -> int:
-        """The end of the run of messages from `at` on that go into `frame`, each as a new segment."""
-        end = min(at + frame.missing, len(arrivals.divided))
-        if end == at + 1:
-            return end
-        segments = arrivals.readings.segments[at:end]
-        stops = arrivals.divided[at + 1 : end] >= at
-        if frame.missing < self.codec.segments:
-            stops |= frame.blocked(self.codec.ordered)[segments[1:]]
-        if self._cycle is not None and (wraps := self._cycle.wraps(segments[:-1], segments[1:])) is not None:
-            stops |= wraps
-        first = int(stops.argmax())
-        return at + 1 + first if stops[first] else end
 
     def _step(self, segment: int, sequence: int, now: float) -> int:
         """By how many frames a message is ahead of the newest frame; 0: part of it; negative: of an older one."""
@@ -172,7 +154,7 @@ class Assembler:
         end = (segment // self.codec.ordered + 1) * self.codec.ordered
         if np.logical_or.reduce(frame.present[segment:end]) or self._cycle is None:
             return True
-        return bool(self._cycle.wraps(frame.segments[-1][-1], segment))
+        return self._cycle.wraps(int(frame.segments[-1][-1]), segment)
 
     def _count_others(self, row: int) -> None:
         """Count the malformed and foreign messages up to a row of the batch."""

@@ -6,8 +6,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactiled.bus.arrivals import Arrivals, moment
+from tactiled.bus.arrivals import Arrivals
 from tactiled.bus.codec import Codec, Rows
+from tactiled.core import messages
 
 UNLEARN_FRAMES = 16  # incomplete frames in a row, after which a learned order is forgotten
 SILENT_FRAMES = 8  # frames in a row without a segment, after which it counts as silent, not as lost
@@ -23,50 +24,37 @@ class OpenFrame:
         self.arrived = 0.0  # s, when its newest message came
         self.payloads = np.zeros((codec.segments, *payloads.shape[1:]), payloads.dtype)
         self.present = np.zeros(codec.segments, np.bool_)
+        self._marks, self._ordered = self.present.view(np.uint8), codec.ordered
         self.missing = codec.segments
         self.bad: list[int] = []
-        self.highest = -1
         self.disputed: set[int] = set()  # segments that came twice, with different payloads
-        self.segments: list[NDArray[np.int64]] = []  # in the order of arrival
+        self.segments: list[NDArray[np.int64]] = []  # in the order of arrival, without sequence numbers
         self.times: list[NDArray[np.float64]] = []  # s, the same
 
-    def add(self, arrivals: Arrivals, some: slice, ascending: bool) -> None:
-        """Take messages of segments that have not come yet; `ascending`: in ascending order."""
-        readings, last = arrivals.readings, some.stop - 1
-        segments, times = readings.segments[some], readings.times[some]
-        places: slice | NDArray[np.int64] = segments
-        first, end = int(segments[0]), int(segments[-1]) + 1
-        if ascending and end - first == len(segments):
-            places = slice(first, end)
-        self.payloads[places] = readings.payloads[some]
-        self.present[places] = True
-        self.missing -= len(segments)
-        self.arrived = moment(arrivals.now, last)
-        self.segments.append(segments)
-        self.times.append(times)
+    def add(self, arrivals: Arrivals, at: int, cycle: "Cycle | None") -> tuple[int, float, int]:
+        """Take message `at`, of a segment that has not come yet, and those behind it that are of this frame.
+
+        Gives the first message not taken, when the newest one came (s), and how many came behind a later segment.
+        """
+        readings, came = arrivals.readings, arrivals.now
+        rank, length = (None, 0) if cycle is None else (cycle.rank, cycle.length)
+        sequences = readings.sequences if cycle is None else None
+        each_came = came if isinstance(came, np.ndarray) else None
+        end, began, ended, last, newest, late = messages.run(
+            readings.segments, sequences, readings.times, each_came,
+            at, self._marks, self.missing, self._ordered, rank, length,
+        )  # fmt: skip
+        segments = readings.segments[at:end]
+        self.payloads[segments] = readings.payloads[at:end]
+        self.missing -= end - at
+        self.arrived, newest = (last, newest) if isinstance(came, np.ndarray) else (came, came)
+        self.began, self.ended = min(self.began, began), max(self.ended, ended)
+        if cycle is not None:
+            self.segments.append(segments)
+            self.times.append(readings.times[at:end])
         if readings.bad:
-            self.bad += [taxel for at in range(some.start, some.stop) for taxel in readings.bad.get(at, ())]
-        began, ended = times[0], times[-1]
-        if not arrivals.times_rise:
-            began, ended = np.minimum.reduce(times), np.maximum.reduce(times)
-        self.began, self.ended = min(self.began, float(began)), max(self.ended, float(ended))
-
-    def late(self, segments: NDArray[np.int64], ascending: bool) -> int:
-        """How many of these segments come after a segment that follows them in the frame."""
-        if ascending and segments[0] > self.highest:
-            self.highest = int(segments[-1])
-            return 0
-        highest = np.maximum.accumulate(np.concatenate(([self.highest], segments)))
-        self.highest = int(highest[-1])
-        return int(np.count_nonzero(highest[1:] > segments))
-
-    def blocked(self, ordered: int) -> NDArray[np.bool_]:
-        """Which segments it no longer accepts: it has them, or a later one of their group of `ordered`."""
-        if ordered == 1:
-            return self.present
-        groups = np.zeros((-(-len(self.present) // ordered), ordered), np.bool_)
-        groups.ravel()[: len(self.present)] = self.present
-        return np.logical_or.accumulate(groups[:, ::-1], axis=1)[:, ::-1].ravel()[: len(self.present)]
+            self.bad += [taxel for row in range(at, end) for taxel in readings.bad.get(row, ())]
+        return end, newest, late
 
     def same_payload(self, segment: int, payload: Any) -> bool:
         """Whether a segment has this payload."""
@@ -91,26 +79,23 @@ class Cycle:
     """
 
     def __init__(self) -> None:
-        self._rank: NDArray[np.int64] | None = None
-        self._length = 0  # segments that were not silent when the order was learned
+        self.rank: NDArray[np.int64] | None = None  # of each segment; None: no order is known
+        self.length = 0  # segments that were not silent when the order was learned
         self._absent: NDArray[np.int64] | int = 0  # frames in a row that lacked each segment
         self._broken = 0  # frames in a row that were not whole
         self._seam: int | None = None  # the segment before which the longest pause is; None: the first
         self._seams = 0  # frames in a row with this `_seam`
 
-    def wraps(self, before: Any, segments: Any) -> Any:
-        """Whether segments (n,), or one, are so far back in the order behind these that they begin a new frame.
-
-        None: no order is known.
-        """
-        return None if self._rank is None else 2 * (self._rank[before] - self._rank[segments]) >= self._length
+    def wraps(self, before: int, segment: int) -> bool:
+        """Whether a segment is so far back in the order behind another that it begins a new frame."""
+        return self.rank is not None and bool(2 * (self.rank[before] - self.rank[segment]) >= self.length)
 
     def learn(self, frame: OpenFrame, pause: float) -> None:
         """Look at a closed frame that came after a `pause` (s)."""
         if not self._is_whole(frame):
             self._broken += 1
             if self._broken >= UNLEARN_FRAMES:
-                self._rank = None
+                self.rank = None
             return
         self._broken = 0
         segments, times = frame.segments[0], frame.times[0]
@@ -129,12 +114,12 @@ class Cycle:
         self._seam = seam
         if self._seams < SEAM_FRAMES:
             first = 0
-        self._length = len(segments)
-        self._rank = np.empty(len(frame.present), np.int64)
-        self._rank[segments] = (np.arange(self._length) - first) % self._length
+        self.length = len(segments)
+        self.rank = np.empty(len(frame.present), np.int64)
+        self.rank[segments] = (np.arange(self.length) - first) % self.length
         if frame.missing:
             for each in np.flatnonzero(~frame.present).tolist():  # placed right behind its neighbour
-                self._rank[each] = self._rank[each - 1] if each else 0
+                self.rank[each] = self.rank[each - 1] if each else 0
 
     def _is_whole(self, frame: OpenFrame) -> bool:
         """Whether a frame lacks nothing but silent segments."""

@@ -14,6 +14,7 @@ from tactiled.bus.assembler import assemble
 from tactiled.bus.batch import Batch, Key
 from tactiled.bus.codec import BatchCodec, Match, Readings, Skin, Traffic, stacked, understands
 from tactiled.bus.grid_shape import alike_shapes
+from tactiled.core import messages
 from tactiled.errors import ConfigError
 from tactiled.frames import Counts, Message
 from tactiled.geometry import Array
@@ -103,40 +104,27 @@ class Packed(BatchCodec):
             bits[segment, byte : byte + 1] &= 0xFF << bit & 0xFF
         padded = np.flatnonzero(bits.any(axis=0))
         first = int(padded[0]) if padded.size else HEADER + self._width
-        return first, bits[:, first:]
+        return first, np.ascontiguousarray(bits[:, first:])
 
     @cached_property
     def _width(self) -> int:
         """Bytes of a full segment's payload."""
         return self._forms[0][0] - HEADER
 
-    @cached_property
-    def _offsets(self) -> tuple[NDArray[np.intp], NDArray[np.uint32]]:
-        """For each taxel the byte, in the stacked payloads, and the bit where it begins."""
-        segment, place = np.divmod(np.arange(self.size), self.taxels)
-        byte, bit = np.divmod(place * self.bits, 8)
-        return segment * self._width + byte, bit.astype(np.uint32)
-
     def readings(self, batch: Batch) -> Readings:
         """A batch; malformed is a message whose kind, index, length or padding is not the layout's."""
-        data, index = batch.data, batch.data[:, 1]
-        good = (self._lengths[index] == batch.lengths) & (batch.fd == self.fd)
-        first, bits = self._padding
-        padding = data[:, first : HEADER + self._width] & bits[index]
-        if padding.any():
-            good &= ~padding.any(axis=1)
-        payloads = data[:, HEADER : HEADER + self._width]
-        return Readings(batch.times, index.astype(np.int64), payloads, good, data[:, 0].astype(np.int64))
+        sequences, segments = np.empty(len(batch), np.int64), np.empty(len(batch), np.int64)
+        good = np.empty(len(batch), np.bool_)
+        kinds, (first, bits) = batch.fd.view(np.uint8), self._padding
+        expected = self.fd, self._lengths, bits, first
+        messages.well_formed(batch.data, batch.lengths, kinds, *expected, sequences, segments, good.view(np.uint8))
+        return Readings(batch.times, segments, batch.data[:, HEADER : HEADER + self._width], good, sequences)
 
     def unpack(self, payloads: Sequence[bytes | None]) -> NDArray[np.uint16]:
         """The counts (N,) of one frame; 0 where a segment is None."""
-        stream = stacked(payloads, self._width).tobytes() + bytes(3)
-        windows = np.ndarray(len(stream) - 3, "<u4", stream, strides=(1,)).copy()  # 32 bits from every byte on
-        byte, bit = self._offsets
-        counts = windows.take(byte)
-        counts >>= bit
-        counts &= np.uint32(self.full_scale)
-        return counts.astype(np.uint16)
+        counts = np.empty(self.size, np.uint16)
+        messages.unpack(stacked(payloads, self._width), self.bits, self.taxels, counts)
+        return counts
 
     def encode(self, counts: Counts, sequence: int, time: float) -> list[Message]:
         """The messages of one frame (N,); CodecError where a count needs more bits."""
@@ -174,10 +162,10 @@ class Settings(Skin):
     @classmethod
     def recognise(cls, traffic: Traffic) -> Iterator[Match]:
         """Sequence numbers and segments that count up."""
-        for key, messages in traffic.items():
-            fits = packed_fits(key, messages) if _counts_up(messages) else []
+        for key, came in traffic.items():
+            fits = packed_fits(key, came) if _counts_up(came) else []
             if fits:
-                yield _match(key, messages, fits)
+                yield _match(key, came, fits)
 
 
 SKIN = Settings
