@@ -16,6 +16,7 @@ from tactiled.frames import BAD, BELOW_ZERO, DEAD, FAULTY, MISSING, SATURATED, F
 from tactiled.geometry import grid, tiling
 from tactiled.runtime import pipeline as module
 from tactiled.runtime.noise import NOISE_FRAMES
+from tactiled.runtime.offline import Offline
 from tactiled.runtime.pipeline import Deadline, Pipeline
 from tactiled.runtime.playback import Playback
 from tactiled.runtime.tare_frames import TARE_FRAMES, TARE_S
@@ -138,6 +139,24 @@ def test_after_a_tare_under_a_load_what_it_left_is_unknown_and_nothing_else(make
         played = playback.image(number, "auto")
         assert np.isnan(played.restored[3:5, 3:5]).all() == (number == 0)
         assert ("below_zero" in {each.code for each in played.warnings}) == (number == 0)
+
+
+def test_a_frame_gives_the_same_image_live_played_and_out_of_a_file_of_pressures(make):
+    pipeline, random = make("auto", dead=(9,), saturation=3000), np.random.default_rng(3)
+    lost, whole = np.zeros((2, *SHAPE))
+    lost[:2] = MISSING
+    counts = [np.round(each + random.normal(0, 1, SHAPE)) for each in (pressed(), UNLOADED, pressed(force=3000))]
+    frames = [frame(n, counts[n], (lost, whole, whole)[n]) for n in range(3)]
+    live = [pipeline.process(each) for each in frames]
+    playback = Playback(pipeline._plan, pipeline.zero, MagicMock(frame=lambda _, number: frames[number]), ())
+    (restored, infos), *_ = Offline(pipeline._plan, np.stack([each.raw for each in live]), "auto", 0.5)
+    for number in (2, 0, 1):
+        image, played = live[number], playback.image(number, "auto")
+        np.testing.assert_array_equal(played.restored, image.restored)
+        np.testing.assert_array_equal(restored[number], image.restored)
+        assert (image.method, image.why) == (played.method, played.why) == infos[number][:2]
+    assert np.isnan(live[0].restored).any()
+    assert live[2].flags.max() == SATURATED
 
 
 def test_what_lies_beyond_the_array_explains_a_frame(make, plan):
