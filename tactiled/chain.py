@@ -83,13 +83,14 @@ class Chain:
 
     def with_below_zero(self, raw: Floats, flags: Flags, highest: float) -> Flags:
         """Flags, and BELOW_ZERO where the zero was taken under a load; `highest` was read since then."""
-        return flags | np.where(below_zero(raw, self.noise, highest), BELOW_ZERO, np.uint8(0))
+        below = below_zero(raw, self.noise, highest)
+        return flags | np.where(below, BELOW_ZERO, np.uint8(0)) if np.count_nonzero(below) else flags
 
     def restore(self, raw: Floats, flags: Flags, method: str, expired: Callable[[], bool] = never) -> Restored:
         """Restore pressures; what is far below zero counts as none. The image has no NaN, until the next frame."""
-        restorer, below = self.restorer(method), flags & BELOW_ZERO > 0
-        if below.any():
-            raw, flags = np.where(below, np.float32(0), raw), flags & ~np.uint8(BELOW_ZERO)
+        restorer, below = self.restorer(method), flags & BELOW_ZERO
+        if np.count_nonzero(below):
+            raw, flags = np.where(below > 0, np.float32(0), raw), flags & ~np.uint8(BELOW_ZERO)
         return restorer(raw, flags, expired)
 
     def known(self, restored: Floats, flags: Flags) -> tuple[Floats, Floats | None]:
@@ -159,7 +160,7 @@ class Chain:
 
 def flag_warnings(flags: Flags) -> tuple[FrameWarning, ...]:
     """A warning for each flag that some taxels have."""
-    if not flags.any():
+    if not np.count_nonzero(flags):
         return ()
     instead = {} if (flags & UNKNOWN == 0).any() else {"instead": NO_DATA}
     counts = ((code, int(np.count_nonzero(flags & flag))) for code, flag in FLAG_CODES.items())

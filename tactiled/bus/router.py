@@ -58,8 +58,9 @@ class Router:
         if not len(batch):
             return ()
         first = self._by_key.get(int(batch.ids[0]), STRANGER)
-        owners = self._owners_of(batch.ids) if len(batch) > 1 or first == STRANGER else None
-        if owners is None or (first != STRANGER and np.logical_and.reduce(owners == first)):
+        alike = first != STRANGER and np.count_nonzero(batch.ids == batch.ids[0]) == len(batch)
+        owners = None if alike else self._owners_of(batch.ids)
+        if owners is None or (first != STRANGER and np.count_nonzero(owners == first) == len(batch)):
             name = self._names[first]
             return tuple([(name, frame) for _, frame in self.assemblers[name].push(batch, now)])
         strangers = np.flatnonzero(owners == STRANGER)

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from tactiled.calibrate.curves import Curves
 from tactiled.calibrate.hysteresis import LoopFollower
+from tactiled.core import readings
 from tactiled.errors import ConfigError
 from tactiled.frames import DEAD, OUT_OF_RANGE, SATURATED, UNKNOWN, Counts
 
@@ -69,10 +70,10 @@ class Calibrator:
         if calibration.no_loads is not None:
             self.tare(calibration.no_loads)
         gain = calibration.kpa_per_count if curves is None else curves.gain
-        self._gain, self._direction = np.asarray(gain, np.float32), np.sign(gain)
+        self._gain = np.broadcast_to(np.asarray(gain, np.float32), (size,)).copy()
         self._curves = None if curves is None or curves.form == "linear" else curves
         self._loop = self._follower()
-        self._dead = np.zeros(size, np.uint8)
+        self._dead, self._nothing = np.zeros(size, np.uint8), np.zeros(size, np.float32)
         beyond = [taxel for taxel in calibration.dead if not 0 <= taxel < size]
         if beyond:
             raise ConfigError(f"dead names taxel {beyond[0]}: the array has 0 to {size - 1}")
@@ -136,40 +137,47 @@ class Calibrator:
     def series(self, counts: Counts, flags: NDArray[np.uint8]) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
         """Pressure and flags (T, N) of frames in their order, the first one after no load; changes no state."""
         follower = self._follower()
-        added: NDArray[np.float32] | np.float32 = np.float32(0)
-        if follower is not None:
-            over = counts.astype(np.float32) - self._zero
-            over[flags & UNKNOWN > 0] = np.nan
-            added = np.stack([follower.follow(each) for each in over])
-        return self._calibrated(counts, flags, added)
+        if follower is None:
+            return self._calibrated(counts, flags, self._nothing)
+        over = counts.astype(np.float32) - self._zero
+        over[flags & UNKNOWN > 0] = np.nan
+        added = (follower.follow(each) for each in over)
+        each = (self._calibrated(*one) for one in zip(counts[:, None], flags[:, None], added, strict=True))
+        pressure, out = zip(*each, strict=True)
+        return np.concatenate(pressure), np.concatenate(out)
 
     def pressure(self, counts: NDArray[np.number]) -> NDArray[np.float32]:
         """Pressure (..., N) in kPa of counts (..., N), whatever the taxel's state."""
         return self._kpa(counts.astype(np.float32) - self._zero + self._added)
 
     @property
-    def _added(self) -> NDArray[np.float32] | np.float32:
+    def _added(self) -> NDArray[np.float32]:
         """Counts (N,) that the hysteresis adds to those of the newest frame."""
-        return np.float32(0) if self._loop is None else self._loop.added
+        return self._nothing if self._loop is None else self._loop.added
 
     def _kpa(self, over: NDArray[np.float32]) -> NDArray[np.float32]:
         return over * self._gain if self._curves is None else self._curves.pressure(over).astype(np.float32)
 
     def __call__(self, counts: Counts, flags: NDArray[np.uint8]) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
         """Pressure (N,) in kPa, NaN for an unknown taxel; the flags with DEAD, SATURATED, OUT_OF_RANGE added."""
-        return self._calibrated(counts, flags, self._added)
+        pressure, out = self._calibrated(counts[None], flags[None], self._added)
+        return pressure[0], out[0]
 
     def _calibrated(
-        self, counts: Counts, flags: NDArray[np.uint8], added: NDArray[np.float32] | np.float32
+        self, counts: Counts, flags: NDArray[np.uint8], added: NDArray[np.float32]
     ) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-        flags, over = flags | self._dead | self.faulty, counts.astype(np.float32) - self._zero
-        unknown = flags & UNKNOWN > 0
-        if self.calibration.saturation is not None:
-            full = self._direction * (counts - np.float32(self.calibration.saturation)) >= 0
-            flags = flags | np.where(full & ~unknown, SATURATED, 0).astype(np.uint8)
+        """Pressure and flags (T, N) of frames, to whose counts over the zeros the same is `added` (N,)."""
+        read, saturation = np.ascontiguousarray(counts, np.float32), self.calibration.saturation
+        pressure, out = np.empty_like(read), np.empty(read.shape, np.uint8)
+        of_taxels = self._dead | self.faulty, self._zero, self._gain, np.asarray(added, np.float32)
+        ceiling = np.nan if saturation is None else saturation
+        known = np.ascontiguousarray(flags, np.uint8)
+        readings.calibrate(read, known, *of_taxels, ceiling, UNKNOWN, SATURATED, pressure, out)
         if self.calibration.curves is not None:
+            over, unknown = read - self._zero, out & UNKNOWN > 0
             beyond = self.calibration.curves.out_of_range(over)
-            flags = flags | np.where(beyond & ~unknown, OUT_OF_RANGE, 0).astype(np.uint8)
-        pressure = self._kpa(over + added)
-        pressure[unknown] = np.nan
-        return pressure, flags
+            out |= np.where(beyond & ~unknown, OUT_OF_RANGE, 0).astype(np.uint8)
+            if self._curves is not None:
+                pressure = self._kpa(over + added)
+                pressure[unknown] = np.nan
+        return pressure, out

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tactiled.core import readings
 from tactiled.restore.noise import MAD_TO_SIGMA, NOISY_RATIO, bends, detection_threshold
 from tactiled.units import PRESSURE, Unit, number_text
 
@@ -92,7 +93,8 @@ def below_zero(pressure: NDArray[np.floating], noise: float, highest: float) -> 
     share is none. `highest` is the highest reading since then.
     """
     nothing = np.zeros(pressure.shape, np.bool_)
-    if not float(np.fmin.reduce(pressure, axis=None)) < -BELOW_SIGMAS * noise:
+    lowest, _, _ = readings.look(np.ascontiguousarray(pressure, np.float32).reshape(-1))
+    if not lowest < -BELOW_SIGMAS * noise:
         return nothing
     known = pressure[np.isfinite(pressure)]
     level = min(float(np.median(known)), 0.0)

@@ -28,7 +28,7 @@ def shares(flags: NDArray[np.uint8], blur: Blur) -> NDArray[np.float32] | None:
 
     Taxels that are dead or faulty, but not all, are restored from their neighbours: they are lost to no frame.
     """
-    if not flags.any():
+    if not np.count_nonzero(flags):
         return None
     if (flags & UNKNOWN != 0).all():
         return np.zeros(blur.surface_shape, np.float32)

@@ -1,12 +1,13 @@
 """One frame in the blur's modes: what every method starts from."""
 
 from collections.abc import Callable
-from math import prod, sqrt
+from math import nan, prod, sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tactiled.core import readings
 from tactiled.restore.blur import THICKNESS_ERROR, Blur, in_both_precisions
 from tactiled.restore.kriging import Gaps, make
 from tactiled.restore.modes import Floats, Image
@@ -86,8 +87,7 @@ class Scene:
         self.power = self.squares.reshape(-1)
         self.spectrum = self.prior.spectra[0]
         self.high = self.low = 0.0  # kPa, the frame's largest and smallest
-        self._reach, self._pressed = self.cell_reach.reshape(-1), np.empty(self.cell_reach.size, np.float32)
-        self._factor, self._zeros = np.zeros((), np.float32), np.zeros_like(self._pressed)
+        self._reach = self.cell_reach.reshape(-1)
         self._resolution: dict[Spectrum, float] = {}
         self._unfelt: dict[Spectrum, Image] = {}
         self.widest_mm = blur.cell_mm * max(blur.surface_shape)
@@ -98,8 +98,10 @@ class Scene:
         return self.cut_short
 
     def measure_range(self, y: Image) -> None:
-        """Take in a frame's largest and smallest pressure."""
-        self.high, self.low = y.item(y.argmax()), y.item(y.argmin())
+        """Take in a frame's largest and smallest pressure; NaN where any is."""
+        self.low, self.high, known = readings.look(y.reshape(-1))
+        if known < y.size:
+            self.low = self.high = nan
 
     def look(self, y: Image) -> None:
         """Take in a frame without gaps."""
@@ -174,23 +176,13 @@ class Scene:
         All taxels' noise is in the frame's total: where few cells are pressed, the image knows its force better.
         An excess is taken from all pressed cells alike, as far as they go; what lacks force is scaled up.
         """
-        pressed, factor = self._pressed, self._factor
-        own = (IMAGE_FORCE_ERROR * self.force) ** 2
-        noise = self.force - float(self._reach.dot(flat))
+        force = self.force
+        own = (IMAGE_FORCE_ERROR * force) ** 2
+        noise = force - float(self._reach.dot(flat))
         likely = self._force_variance / (own + self._force_variance)  # the frame's part of the difference
         noise *= likely if noise**2 < FORCE_NOISE_SIGMAS**2 * self._force_variance else 0.0
-        for _ in range(FORCE_PASSES):
-            missed = self.force - noise - float(self._reach.dot(flat))
-            scale = self.force_scale(missed)
-            if scale >= 1:
-                break
-            np.sign(flat, out=pressed)
-            factor[()] = missed / float(self._reach.dot(pressed))
-            np.add(flat, factor, out=flat)
-            np.maximum(flat, self._zeros, out=flat)
-        if scale != 1.0:
-            factor[()] = scale
-            np.multiply(flat, factor, out=flat)
+        bounds = self._force_agrees, self._force_clear, *FORCE_BOUNDS, FORCE_PASSES
+        readings.keep_total(flat, self._reach, force, noise, *bounds)
 
     def resolution(self) -> float:
         """Half-period (mm) of the finest mode whose signal, by the spectrum picked, is above the noise."""

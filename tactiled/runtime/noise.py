@@ -12,6 +12,7 @@ from tactiled.build import SensorPlan
 from tactiled.bus.codec import Codec
 from tactiled.bus.router import Router
 from tactiled.calibrate.calibration import Calibration, Calibrator
+from tactiled.core import readings
 from tactiled.diagnostics.checks import NOISE_RATIO
 from tactiled.diagnostics.warning_codes import warning
 from tactiled.frames import UNKNOWN, FrameWarning, RawFrame
@@ -53,7 +54,7 @@ class Noise:
         if self._pause:
             self._pause -= 1
             return
-        has_value = bool(np.isfinite(raw).any())
+        has_value = readings.look(raw.reshape(-1))[2] > 0
         self._frames += [raw] if has_value else []
         if len(self._frames) == NOISE_FRAMES:
             self._compare(max(self._floor, estimate(np.stack(self._frames))))

@@ -13,6 +13,7 @@ from tactiled.build import SensorPlan
 from tactiled.calibrate.monitor import SkinMonitor
 from tactiled.calibrate.tare import Zero, blocks, load_description, own_noise, robust_mean
 from tactiled.chain import Chain, flag_warnings
+from tactiled.core import readings
 from tactiled.diagnostics.warning_codes import warning
 from tactiled.frames import FrameWarning, Image, RawFrame, StageTimes
 from tactiled.geometry import tiling
@@ -156,7 +157,7 @@ class Pipeline:
         self.noise.add(raw)
         chain.noise = self.noise.kpa
         if self.noise.settled:
-            self._highest = max(self._highest, float(np.fmax.reduce(raw, axis=None)))
+            self._highest = max(self._highest, readings.look(raw.reshape(-1))[1])
             flags = chain.with_below_zero(raw, flags, self._highest)
         self._recent = (*self._recent, raw)[-TARE_FRAMES:]
         chain.prepare(self.method)

@@ -1,0 +1,31 @@
+import numpy as np
+from numpy.typing import NDArray
+
+_Array = NDArray[np.float32]
+_Flags = NDArray[np.uint8]
+
+def calibrate(
+    counts: _Array,
+    flags: _Flags,
+    states: _Flags,
+    zero: _Array,
+    gain: _Array,
+    added: _Array,
+    saturation: float,
+    unknown: int,
+    saturated: int,
+    pressure: _Array,
+    out: _Flags,
+) -> None: ...
+def look(x: _Array) -> tuple[float, float, int]: ...
+def keep_total(
+    x: _Array,
+    weight: _Array,
+    total: float,
+    noise: float,
+    agrees: float,
+    clear: float,
+    least: float,
+    most: float,
+    passes: int,
+) -> None: ...

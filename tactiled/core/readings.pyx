@@ -1,0 +1,96 @@
+# cython: language_level=3, boundscheck=False, wraparound=False, initializedcheck=False, cdivision=True
+"""Counts of taxels to pressure, and looks at a frame, float32."""
+
+from libc.math cimport INFINITY, NAN
+
+
+def calibrate(
+    const float[:, ::1] counts,
+    const unsigned char[:, ::1] flags,
+    const unsigned char[::1] states,
+    const float[::1] zero,
+    const float[::1] gain,
+    const float[::1] added,
+    float saturation,
+    unsigned char unknown,
+    unsigned char saturated,
+    float[:, ::1] pressure,
+    unsigned char[:, ::1] out,
+):
+    """Fill `pressure` (T, N) with (counts - zero + added) gain, and `out` with flags | states, of T frames.
+
+    Taxels with any flag of `unknown` have NaN. The others get the flag `saturated` where their counts are at
+    `saturation` (NaN: none) or beyond, which is below where the gain is negative. `states`, `zero`, `gain` and
+    `added`: (N,). ValueError where shapes do not fit.
+    """
+    cdef long T = counts.shape[0], N = counts.shape[1], t, i
+    cdef unsigned char flag
+    if not (
+        flags.shape[0] == pressure.shape[0] == out.shape[0] == T and flags.shape[1] == pressure.shape[1] == N
+        and out.shape[1] == states.shape[0] == zero.shape[0] == gain.shape[0] == added.shape[0] == N
+    ):
+        raise ValueError("calibrate: shapes do not fit")
+    with nogil:
+        for t in range(T):
+            for i in range(N):
+                pressure[t, i] = (counts[t, i] - zero[i] + added[i]) * gain[i]
+            for i in range(N):
+                flag = flags[t, i] | states[i]
+                if flag & unknown:
+                    pressure[t, i] = NAN
+                elif (counts[t, i] <= saturation if gain[i] < 0 else counts[t, i] >= saturation):
+                    flag |= saturated
+                out[t, i] = flag
+
+
+def look(const float[::1] x):
+    """Give the lowest and the highest of the values that are no NaN, and how many they are; none: inf, -inf, 0."""
+    cdef long i, known = 0
+    cdef float lowest = INFINITY, highest = -INFINITY
+    with nogil:
+        for i in range(x.shape[0]):
+            lowest = x[i] if x[i] < lowest else lowest
+            highest = x[i] if x[i] > highest else highest
+            known += x[i] == x[i]
+    return lowest, highest, known
+
+
+def keep_total(
+    float[::1] x,
+    const float[::1] weight,
+    float total,
+    float noise,
+    float agrees,
+    float clear,
+    float least,
+    float most,
+    int passes,
+):
+    """Hold values x (M,), none below 0, to a `total` of sum(weight x) but for its `noise`, in place.
+
+    An excess is taken from all values above 0 alike, by as many passes of Newton's method as it needs, `passes` at
+    most; what it lacks, or has too much then, is scaled by `least` to `most`. Nothing is done for a difference
+    within `agrees`, or where the total is within `clear` of 0. ValueError where shapes do not fit.
+    """
+    cdef long M = x.shape[0], i
+    cdef int done
+    cdef float felt, pressed, missed, scale = 1
+    if weight.shape[0] != M:
+        raise ValueError("keep_total: shapes do not fit")
+    with nogil:
+        for done in range(passes):
+            felt = pressed = 0
+            for i in range(M):
+                felt += weight[i] * x[i]
+                pressed += weight[i] if x[i] > 0 else 0
+            missed, scale = total - noise - felt, 1
+            if not (-agrees < missed < agrees or -clear < total < clear or (felt + noise) * total <= 0):
+                scale = min(max(total / (felt + noise), least), most)
+            if scale >= 1:
+                break
+            missed /= pressed
+            for i in range(M):
+                x[i] = max(x[i] + missed, 0) if x[i] > 0 else x[i]
+        if scale != 1:
+            for i in range(M):
+                x[i] *= scale

@@ -1,0 +1,78 @@
+"""Compiled looks at taxels' readings against plain numpy, to the rounding of float32."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tactiled.core import readings
+from tactiled.frames import DEAD, MISSING, SATURATED, UNKNOWN
+
+SEEDS = st.integers(0, 99)
+
+
+@given(SEEDS, st.integers(1, 4), st.integers(1, 40), st.sampled_from([np.nan, 500.0]), st.sampled_from([-1, 1]))
+def test_counts_become_pressure_and_flags(seed, frames, taxels, saturation, sign):
+    random, shape = np.random.default_rng(seed), (frames, taxels)
+    read, flags = random.integers(0, 1000, shape), random.choice([0, MISSING], shape, p=[0.9, 0.1])
+    states, (zero, added) = random.choice([0, DEAD], taxels), random.normal(100, 50, (2, taxels))
+    gain = sign * (random.random(taxels) + 0.01)
+    pressure, out = np.empty(shape, np.float32), np.empty(shape, np.uint8)
+    of_taxels = [np.uint8(states), *(np.float32(each) for each in (zero, gain, added))]
+    kinds = saturation, UNKNOWN, SATURATED
+    readings.calibrate(np.float32(read), np.uint8(flags), *of_taxels, *kinds, pressure, out)
+    unknown = (flags | states) & UNKNOWN > 0
+    full = ~unknown & (sign * (read - saturation) >= 0)
+    np.testing.assert_array_equal(out, flags | states | np.where(full, SATURATED, 0))
+    expected = np.where(unknown, np.nan, (read - zero + added) * gain)
+    np.testing.assert_allclose(pressure, expected, atol=1e-3)
+
+
+@given(SEEDS, st.integers(0, 70))
+def test_a_look_is_at_what_is_known(seed, size):
+    random = np.random.default_rng(seed)
+    x = np.where(random.random(size) < 0.3, np.nan, random.normal(size=size)).astype(np.float32)
+    known = x[~np.isnan(x)]
+    expected = known.min(initial=np.inf), known.max(initial=-np.inf), known.size
+    assert readings.look(x) == expected
+
+
+def held(x, weight, *bounds):
+    total, noise, agrees, clear, least, most, passes = bounds
+    x, scale = x.astype(float), 1.0
+    for _ in range(passes):
+        felt = float(weight @ x)
+        missed, scale = total - noise - felt, 1.0
+        if abs(missed) >= agrees and abs(total) >= clear and (felt + noise) * total > 0:
+            scale = min(max(total / (felt + noise), least), most)
+        if scale >= 1:
+            break
+        x = np.maximum(x + missed / float(weight @ (x > 0)), 0) * (x > 0)
+    return x * scale
+
+
+@given(SEEDS, st.integers(1, 70), st.floats(0.1, 3), st.floats(-0.2, 0.2), st.integers(1, 8))
+def test_an_excess_is_taken_from_all_that_is_pressed_and_a_lack_is_scaled_up(seed, size, part, noise, passes):
+    random = np.random.default_rng(seed)
+    x = np.maximum(random.normal(size=size), 0).astype(np.float32)
+    weight = random.random(size).astype(np.float32)
+    total = part * float(weight @ x)
+    bounds = total, noise * total, 0.01 * total, 0.1, 0.5, 2.0, passes
+    expected = held(x, weight, *bounds)
+    readings.keep_total(x, weight, *bounds)
+    np.testing.assert_allclose(x, expected, rtol=1e-3, atol=1e-4)
+
+
+def test_shapes_that_do_not_fit_are_refused():
+    rows, row = np.zeros((2, 5), np.float32), np.zeros(5, np.float32)
+    flags, states = np.zeros((2, 5), np.uint8), np.zeros(5, np.uint8)
+    arguments = [rows, flags, states, row, row, row, 0.0, 1, 2, rows.copy(), flags.copy()]
+    readings.calibrate(*arguments)
+    for n, each in enumerate(arguments):
+        if isinstance(each, np.ndarray):
+            wrong = [*arguments]
+            wrong[n] = np.ascontiguousarray(each[..., 1:])
+            with pytest.raises(ValueError, match="do not fit"):
+                readings.calibrate(*wrong)
+    with pytest.raises(ValueError, match="do not fit"):
+        readings.keep_total(row, row[1:].copy(), 1.0, 0.0, 0.0, 0.0, 0.5, 2.0, 8)
