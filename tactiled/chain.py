@@ -5,8 +5,8 @@ from threading import Lock
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactiled.arrays import Flags, Floats, Floats32
 from tactiled.build import SensorPlan
 from tactiled.calibrate.calibration import Calibrator
 from tactiled.calibrate.tare import Zero, below_zero
@@ -19,9 +19,6 @@ from tactiled.restore.noise import noise_ratio
 from tactiled.restore.scene import Restored, never
 
 FLAG_CODES = {cast(WarningCode, name.lower()): flag for name, flag in FLAG_BITS.items()}
-
-Floats = NDArray[np.float32]
-Flags = NDArray[np.uint8]
 
 
 class Chain:
@@ -38,7 +35,7 @@ class Chain:
         self.calibrator = Calibrator(plan.calibration, plan.array.size)
         self.follow = self.calibrator.follow
         self.shear_zero = np.full((2, plan.array.size), np.nan, np.float32)  # counts; NaN: not tared
-        self.noise_ratio: NDArray[np.float64] | None = None  # (N,) of each taxel to `noise`; None: none is noisy
+        self.noise_ratio: Floats | None = None  # (N,) of each taxel to `noise`; None: none is noisy
         self._checks = FrameChecks(plan.blur, plan.calibration.floor_kpa)
         self._restorers: dict[tuple[str, float], Restorer] = {}  # of a method and a noise
         self._restorer: Restorer  # of the newest frame
@@ -53,7 +50,7 @@ class Chain:
         self.calibrator.tare(zero.counts.astype(float), measured)
         self.shear_zero = zero.shear
 
-    def weigh(self, noise_counts: NDArray[np.float64]) -> None:
+    def weigh(self, noise_counts: Floats) -> None:
         """Weight noisy taxels by their noise (N,) in counts; NaN: unknown."""
         ratio = noise_ratio(self.calibrator.noise_kpa(noise_counts), self.noise, self.noise_ratio)
         if ratio is not self.noise_ratio:
@@ -75,25 +72,25 @@ class Chain:
         self._restorer, self._method = self._restorers[made_for], method
         return self._restorer
 
-    def pressure(self, frame: RawFrame) -> tuple[Floats, Flags]:
+    def pressure(self, frame: RawFrame) -> tuple[Floats32, Flags]:
         """Pressure of a frame in `unit`, NaN where it is unknown, and flags, both of the array's shape."""
         pressure, flags = self.calibrator(frame.counts, frame.flags)
         shape = self.plan.array.frame_shape
         return pressure.reshape(shape), flags.reshape(shape)
 
-    def with_below_zero(self, raw: Floats, flags: Flags, highest: float) -> Flags:
+    def with_below_zero(self, raw: Floats32, flags: Flags, highest: float) -> Flags:
         """Flags, and BELOW_ZERO where the zero was taken under a load; `highest` was read since then."""
         below = below_zero(raw, self.noise, highest)
         return flags | np.where(below, BELOW_ZERO, np.uint8(0)) if np.count_nonzero(below) else flags
 
-    def restore(self, raw: Floats, flags: Flags, method: str, expired: Callable[[], bool] = never) -> Restored:
+    def restore(self, raw: Floats32, flags: Flags, method: str, expired: Callable[[], bool] = never) -> Restored:
         """Restore pressures; what is far below zero counts as none. The image has no NaN, until the next frame."""
         restorer, below = self.restorer(method), flags & BELOW_ZERO
         if np.count_nonzero(below):
             raw, flags = np.where(below > 0, np.float32(0), raw), flags & ~np.uint8(BELOW_ZERO)
         return restorer(raw, flags, expired)
 
-    def known(self, restored: Floats, flags: Flags) -> tuple[Floats, Floats | None]:
+    def known(self, restored: Floats32, flags: Flags) -> tuple[Floats32, Floats32 | None]:
         """A copy of a restored image, NaN where lost taxels leave it unknown; and the cells' `shares`."""
         image, share = restored.copy(), shares(flags, self.plan.blur)
         if share is not None:
@@ -104,7 +101,7 @@ class Chain:
         """Flags, not 0 for noisy taxels either."""
         return flags if self.noise_ratio is None else flags | (self.noise_ratio > 1).reshape(flags.shape)
 
-    def warnings(self, raw: Floats, doubtful: Flags, done: Restored) -> tuple[FrameWarning, ...]:
+    def warnings(self, raw: Floats32, doubtful: Flags, done: Restored) -> tuple[FrameWarning, ...]:
         """Compare the image restored last with its frame, now and then: what several frames in turn have shown."""
         return self._checks(raw, doubtful, done.image, self.noise, done.method, self._restorer.predicted)
 
@@ -113,7 +110,7 @@ class Chain:
         doubtful, predict = self.doubtful(image.flags), self._restorer.predicted
         return self._checks.check(image.raw, doubtful, image.restored, self.noise, image.method, predict)
 
-    def image(self, frame: RawFrame, raw: Floats, flags: Flags, done: Restored, **others: Any) -> Image:
+    def image(self, frame: RawFrame, raw: Floats32, flags: Flags, done: Restored, **others: Any) -> Image:
         """The image of a frame as it was restored; `others` are the fields that nothing here has."""
         restored, share = self.known(done.image, flags)
         return Image(
@@ -138,7 +135,7 @@ class Chain:
             **others,
         )
 
-    def _shear(self, frame: RawFrame, flags: Flags) -> Floats | None:
+    def _shear(self, frame: RawFrame, flags: Flags) -> Floats32 | None:
         """Shear in counts (2, ...), less the zero's; NaN where it is unknown, as in the raw image."""
         if frame.shear is None:
             return None
@@ -146,7 +143,7 @@ class Chain:
         tared[:, flags.ravel() & UNKNOWN > 0] = np.nan
         return tared.reshape((2, *flags.shape))
 
-    def deviation(self, image: Image) -> Floats:
+    def deviation(self, image: Image) -> Floats32:
         """Standard deviation of every cell of `image.restored`, this chain's newest, in its unit; any thread."""
         wanted_by = self._method, image.noise
         with self._deviation_lock:

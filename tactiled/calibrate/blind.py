@@ -16,10 +16,10 @@ from dataclasses import dataclass, fields, replace
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.special import stdtrit
 
+from tactiled.arrays import Floats, Ints, Reals
 from tactiled.calibrate.contact_frames import (
     MAX_FRAMES,
     Shared,
@@ -36,8 +36,6 @@ from tactiled.cover.stack import Stack
 from tactiled.geometry import Array
 from tactiled.restore.noise import NORMAL_95
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.intp]
 Skin = tuple[CoverFamily, Array]
 Contact = tuple[Images, int, float]  # frames over noise, place of the one that counts, variance of their zero
 
@@ -130,7 +128,7 @@ class Profiles:
 
 
 def fit_blind(
-    frames: NDArray[np.floating],
+    frames: Reals,
     noise_kpa: float,
     family: CoverFamily,
     array: Array,

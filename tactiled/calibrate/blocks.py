@@ -3,8 +3,8 @@
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactiled.arrays import Flags, Floats, Floats32, Mask
 from tactiled.frames import BAD, MISSING, Counts
 
 BLOCK_FRAMES = 16  # successive ones: noise shows in their differences, and a walking foot stands longer
@@ -17,31 +17,27 @@ REST_SIGMAS = 2.0  # of the noise, which the mean of a block strays from no load
 MIN_LEARNING = 0.05  # part by which a block changes the running noise; the n-th block 1 / n before that
 MIN_NOISE = 0.05  # steps: the running noise stays above it, so that it comes up again in seconds
 
-Floats = NDArray[np.float32]
-
 
 class Block:
     """Successive frames (K, N) in counts, of an array whose counts differ by multiples of `step`."""
 
-    def __init__(
-        self, times_s: NDArray[np.float64], counts: Floats, readable: NDArray[np.bool_], step: float
-    ) -> None:
+    def __init__(self, times_s: Floats, counts: Floats32, readable: Mask, step: float) -> None:
         self.time_s = float(times_s[-1])  # of the last frame
         periods = np.diff(times_s)
         self.even = bool(periods.max() <= MAX_UNEVENNESS * periods.min())  # its frames come evenly
         self.counts = counts  # the collector's own: valid until its next frame
         self.readable = readable  # (N,) neither missing nor bad in any of the frames
         self.step = step  # counts
-        self.mean: Floats = counts.mean(axis=0)
-        self.span: Floats = counts.max(axis=0) - counts.min(axis=0)
+        self.mean: Floats32 = counts.mean(axis=0)
+        self.span: Floats32 = counts.max(axis=0) - counts.min(axis=0)
 
     @cached_property
-    def fourth(self) -> Floats:
+    def fourth(self) -> Floats32:
         """Fourth differences (K - 4, N) in time, which a rubbing finger hardly changes."""
         return np.diff(self.counts, 4, axis=0)
 
     @cached_property
-    def variance(self) -> Floats:
+    def variance(self) -> Floats32:
         """Variance (N,) of the noise, by fourth differences."""
         squares = np.einsum("kn,kn->n", self.fourth, self.fourth)
         return np.asarray(squares / (DIFFERENCE_VARIANCE * len(self.fourth)), np.float32)
@@ -58,7 +54,7 @@ class Blocks:
         self._began_s = -np.inf
         self._step = np.inf
 
-    def push(self, time_s: float, counts: Counts, flags: NDArray[np.uint8]) -> Block | None:
+    def push(self, time_s: float, counts: Counts, flags: Flags) -> Block | None:
         """Take a frame, (N,) counts and flags; gives a block once it is complete."""
         if not self._frames:
             if 0 <= time_s - self._began_s < BLOCK_PERIOD_S:
@@ -98,21 +94,21 @@ class TaxelNoise:
         self._step = 1.0
 
     @property
-    def sigma(self) -> Floats:
+    def sigma(self) -> Floats32:
         """Standard deviation (N,) in counts, not under that of rounding."""
         return np.sqrt(np.maximum(self._variance, self._step**2 / 12))
 
     @property
-    def seen(self) -> NDArray[np.bool_]:
+    def seen(self) -> Mask:
         """(N,) taxels that were seen in a block; the others' noise is unknown."""
         return self._blocks > 0
 
     @property
-    def reliable(self) -> NDArray[np.bool_]:
+    def reliable(self) -> Mask:
         """(N,) taxels that were seen in enough blocks."""
         return self._blocks >= KNOWN_BLOCKS
 
-    def update(self, block: Block, load: Floats) -> None:
+    def update(self, block: Block, load: Floats32) -> None:
         """Take a block with its mean load (N,), counts; a variance goes a part of itself towards the block's."""
         readable = block.readable
         if not block.even:

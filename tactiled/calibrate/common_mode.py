@@ -1,16 +1,14 @@
 """The drift that taxels share: how strongly each taxel follows it, and what pads without pressure show of it."""
 
 import numpy as np
-from numpy.typing import NDArray
+
+from tactiled.arrays import Floats, Floats32, Mask
 
 SENSITIVITY_STEP = 0.005  # of the common mode, over which a taxel's own drift is compared with it
 SENSITIVITY_PRIOR = 0.0625  # of a taxel's noise squared: its zero's variance over that of sensitivities, 0.2^2
 MIN_SENSITIVITY = 0.1
 MIN_REFERENCE_SQUARE = 4.0  # counts squared of the references' changes, from which their effect is judged
 TIME_S = 200.0  # time constant of the zero and its rate, critically damped: a steady drift leaves no error
-
-Floats = NDArray[np.float32]
-Mask = NDArray[np.bool_]
 
 
 class Sensitivity:
@@ -23,7 +21,7 @@ class Sensitivity:
         self._tracked = np.zeros(taxels, bool)  # free since its last comparison
 
     @property
-    def values(self) -> NDArray[np.float64]:
+    def values(self) -> Floats:
         """(N,), of a regression through 0 with a prior of 1, over their median."""
         values = (self._prior + self._product) / (self._prior + self._square)
         return np.asarray(np.maximum(values / np.median(values), MIN_SENSITIVITY))
@@ -32,7 +30,7 @@ class Sensitivity:
         """Begin new changes: the zeros have been set."""
         self._tracked[:] = False
 
-    def learn(self, zero: Floats, common: float, free: Mask, sigma: Floats) -> None:
+    def learn(self, zero: Floats32, common: float, free: Mask, sigma: Floats32) -> None:
         """Compare the zeros' changes with those of the common mode, for readings with noise `sigma` (N,)."""
         self._prior = SENSITIVITY_PRIOR * np.square(sigma, dtype=float)
         change = common - self._common
@@ -52,7 +50,7 @@ class References:
         self._anchor: tuple[float, float] | None = None  # smooth reference and common mode
         self._product = self._square = 0.0
 
-    def learn(self, references: Floats | None, common: float, seconds: float) -> None:
+    def learn(self, references: Floats32 | None, common: float, seconds: float) -> None:
         """Compare their change with the common mode's."""
         if self._follow(references, seconds) is None:
             return
@@ -64,7 +62,7 @@ class References:
             self._square += change**2
             self._anchor = self._smooth, common
 
-    def predict(self, references: Floats | None, seconds: float, otherwise: float) -> float:
+    def predict(self, references: Floats32 | None, seconds: float, otherwise: float) -> float:
         """Rate (counts a second) of the common mode since the last block, `otherwise` where it is not known."""
         self._anchor = None
         change = self._follow(references, seconds)
@@ -72,7 +70,7 @@ class References:
             return otherwise
         return self._product / self._square * change / seconds
 
-    def _follow(self, references: Floats | None, seconds: float) -> float | None:
+    def _follow(self, references: Floats32 | None, seconds: float) -> float | None:
         """By how much (counts) their running mean changes; None where no pad is read."""
         if references is None or not np.isfinite(references).any():
             return None

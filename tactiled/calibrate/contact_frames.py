@@ -1,15 +1,13 @@
 """Frames of contacts out of any recording of a grid: their scenes, the zero around each, means, and the noise."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactiled.arrays import Floats, Floats32, Ints
 from tactiled.calibrate.means import unknown_taxels
 from tactiled.calibrate.presses import MAX_UNLOADED_FRAMES, SETTLING_FRAMES, slow_drift, unloaded
 from tactiled.restore.noise import MAD_TO_SIGMA, detection_threshold
 
-Floats = NDArray[np.float64]
-Images = NDArray[np.float32]
-Ints = NDArray[np.intp]
+Images = Floats32
 
 MAX_FRAMES = 16  # that are deblurred
 SCENE_CHANGE = 0.3  # of a frame's square: a step that changes more begins another scene

@@ -4,11 +4,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactiled.arrays import Floats
 from tactiled.restore.noise import NORMAL_95
 
-Floats = NDArray[np.float64]
 Method = Literal["tip", "edge", "blind"]
 MIN_SIZE_MM = 0.05  # of a tip or ridge: less was most likely given in metres
 MAX_TIP_MM, MAX_EDGE_MM = 100, 1000

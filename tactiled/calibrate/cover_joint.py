@@ -3,15 +3,13 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactiled.arrays import Floats
 from tactiled.calibrate.cover_search import Fitted, Touch, fine
 from tactiled.calibrate.likelihood import Likelihood, Solution, interval, pooled, schur
 from tactiled.calibrate.unknowns import APERTURE, FACTOR, PROFILE, SENSOR, SHARED, SIZE
 from tactiled.cover.family import FACTORS
 from tactiled.restore.noise import NORMAL_95
-
-Floats = NDArray[np.float64]
 
 ENDS = float(np.log(FACTORS[0])), float(np.log(FACTORS[1]))
 LINEAR = 0.1  # deviation of the factor's logarithm, up to which its likelihood is as good as normal

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactiled.arrays import Floats
 from tactiled.calibrate.cover_fit import CoverFit, Method
 from tactiled.calibrate.cover_joint import ENDS, MISFIT, Joint, fit_jointly
 from tactiled.calibrate.cover_search import Fitted, Touch, search
@@ -19,8 +19,6 @@ from tactiled.cover import layered
 from tactiled.cover.family import CoverFamily
 from tactiled.cover.stack import Stack
 from tactiled.restore.noise import NORMAL_95
-
-Floats = NDArray[np.float64]
 
 DOUBLED = float(np.log(2))  # between two estimates of a rubber's modulus, such as from Shore A
 IRRELEVANT = 0.01  # of the thickness: a modulus that changes it by less does not matter

@@ -5,8 +5,8 @@ from functools import lru_cache
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactiled.arrays import Floats, Ints, Mask
 from tactiled.calibrate.likelihood import Likelihood, Model, Prior, Readings, Solution, Spectrum
 from tactiled.calibrate.presses import Press
 from tactiled.calibrate.touch_response import ONE, Quadrature, quadrature
@@ -22,8 +22,6 @@ from tactiled.calibrate.unknowns import (
 )
 from tactiled.cover.family import FACTORS, CoverFamily, lagrange
 from tactiled.geometry import Array
-
-Floats = NDArray[np.float64]
 
 COARSE_FACTORS = np.geomspace(*FACTORS, 13)
 COARSE_PRESSES = 6  # the strongest, which decide where the fine search starts
@@ -57,7 +55,7 @@ class Touch:
         """The model of `readings`; a coarse one is fast."""
         raise NotImplementedError
 
-    def near(self, reach: float, depth: float) -> NDArray[np.bool_]:
+    def near(self, reach: float, depth: float) -> Mask:
         """Readings (K, N) that the model holds for; a response ends at `reach` under a cover of `depth` (mm)."""
         raise NotImplementedError
 
@@ -69,7 +67,7 @@ class Touch:
         """Deviation of what is shared where presses refuse its prior."""
         return FREED[parameter]
 
-    def only(self, presses: NDArray[np.intp]) -> Self:
+    def only(self, presses: Ints) -> Self:
         """The same with some presses."""
         return replace(self, presses=tuple(self.presses[at] for at in presses), prior=self.prior.of(presses))
 
@@ -112,7 +110,7 @@ class Touch:
             lagrange(float(np.clip(shared[APERTURE], *MAX_APERTURE)), places), once(shared)
         ).ravel()
 
-    def readings(self, near: NDArray[np.bool_]) -> Readings:
+    def readings(self, near: Mask) -> Readings:
         """The known ones of `near` (K, N); MODEL_ERROR is part of their error."""
         means, errors = (np.stack([getattr(each, name) for each in self.presses]) for name in ("mean", "error"))
         press, taxel = np.nonzero(np.isfinite(means) & near)

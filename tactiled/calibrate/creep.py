@@ -4,7 +4,8 @@ from math import log10
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
+
+from tactiled.arrays import Floats32, Mask
 
 START_S = 30.0  # after a load came, its growth is measured: the exact start matters little by then
 SAMPLES_PER_DECADE = 20  # of time, so that each counts alike
@@ -12,8 +13,6 @@ MIN_SAMPLES = 20
 MAX_CHANGE = 0.1  # of the pattern's strength that is not its own: another contact
 MAX_JUMP = 0.03  # from block to block: another load
 SIGNIFICANT_ERRORS, SIGNIFICANT_PERCENT = 4.0, 0.5  # standard errors; in a decade of time
-
-Floats = NDArray[np.float32]
 
 
 class Creep(NamedTuple):
@@ -39,12 +38,12 @@ class CreepMeter:
 
     def _restart(self, time_s: float) -> None:
         self._began_s, self._next_s = time_s, START_S
-        self._pattern: Floats | None = None
+        self._pattern: Floats32 | None = None
         self._before = 1.0
         self._points: list[tuple[float, float]] = []  # decimal logarithm of the time (s), load over the first
         self.creep: Creep | None = None
 
-    def update(self, time_s: float, load: Floats, loaded: NDArray[np.bool_]) -> None:
+    def update(self, time_s: float, load: Floats32, loaded: Mask) -> None:
         """Take the loads (N,) of a block and which taxels bear one."""
         pattern = np.where(loaded, load, np.float32(0))
         strength = float(np.vdot(pattern, pattern))

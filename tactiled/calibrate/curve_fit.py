@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from tactiled.arrays import Floats
 from tactiled.calibrate.curves import CHORD_TO, FORMS, KNOTS, Form, cubic_slope, unit_curves
 
 FREE = {"linear": 1, "power": 2, "cubic": 3, "spline": KNOTS.size}  # parameters
@@ -21,7 +22,6 @@ HYSTERESIS_BINS = 10  # of pressure
 INNER = 0.95  # of the largest pressure, and less, may be left out: no curve is asked beyond its range
 RIDGE = 1e-9  # of the normal equations
 STIFFNESS = 1e-5  # of a spline against bending, likewise: a knot without points follows its neighbours
-Floats = NDArray[np.float64]
 UNCOMPARED: dict[Form, Floats] = {"linear": np.array([np.nan])}
 
 

@@ -4,8 +4,8 @@ from dataclasses import dataclass, field
 from typing import Any, Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactiled.arrays import Floats, Mask, Reals
 from tactiled.calibrate.hysteresis import Loop
 from tactiled.errors import ConfigError
 
@@ -16,7 +16,6 @@ KNOTS = np.array([0.25, 0.5, 0.75, 1.0])  # relative counts of fitted splines
 CHORD_TO = 0.01  # relative counts up to which a power law is its chord: its slope at 0 is 0 or infinite
 MIN_REACH_COUNTS = 1e-6  # of a range, whose end the counts are divided by
 BISECTIONS = 50  # of [0, 1], to below float64's resolution of the relative counts
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,7 +32,7 @@ class Curves:
     reach_counts: Floats  # (N, 2): calibrated range over no load, ascending; one end is 0
     deviation: Floats  # (N,) standard error of the gain, relative to it; NaN: unknown
     hysteresis: Floats  # (N,) % of full scale; NaN: unknown
-    individual: NDArray[np.bool_]  # (N,) false: the taxel has the array's common curve, not its own
+    individual: Mask  # (N,) false: the taxel has the array's common curve, not its own
     knots: Floats = field(default_factory=lambda: np.empty(0))  # (P,), of a spline only
     error_kpa: Floats | None = None  # (N,) rms in another rise or fall of the pressure; None or NaN: unknown
     curvature: float | None = None  # relative standard error, common to all, of the mid-range gain; None: unknown
@@ -78,17 +77,17 @@ class Curves:
         """Pressure over counts (N,) at the range's loaded end, in kPa per count; negative where counts fall."""
         return self.pressure(self._end) / self._end
 
-    def pressure(self, counts: NDArray[np.floating]) -> Floats:
+    def pressure(self, counts: Reals) -> Floats:
         """Pressure of `counts` (..., N) over no load, in kPa; NaN stays."""
         relative = counts / self._end
         inside = np.clip(relative, 0.0, 1.0)
         return self._value(inside) + self._slope(inside) * (relative - inside)
 
-    def slope(self, counts: NDArray[np.floating]) -> Floats:
+    def slope(self, counts: Reals) -> Floats:
         """Slope at `counts` (..., N) over no load, in kPa per count; negative where counts fall."""
         return self._slope(np.clip(counts / self._end, 0.0, 1.0)) / self._end
 
-    def counts(self, pressure: NDArray[np.floating]) -> Floats:
+    def counts(self, pressure: Reals) -> Floats:
         """Counts over no load of `pressure` (..., N) in kPa; the inverse of `pressure`."""
         values = np.asarray(pressure, np.float64)
         low, high = np.zeros(values.shape), np.ones(values.shape)
@@ -100,7 +99,7 @@ class Curves:
         beyond = values - np.clip(values, 0.0, self._value(np.ones(values.shape)))
         return (inside + beyond / self._slope(inside)) * self._end
 
-    def out_of_range(self, counts: NDArray[np.floating]) -> NDArray[np.bool_]:
+    def out_of_range(self, counts: Reals) -> Mask:
         """Whether `counts` (..., N) over no load lie beyond the calibrated range's loaded end."""
         return np.asarray(counts / self._end > 1.0)
 
@@ -147,7 +146,7 @@ class Curves:
             return np.asarray(np.moveaxis(pieces, -1, 1), np.float64)
         return one
 
-    def _monotone(self) -> NDArray[np.bool_]:
+    def _monotone(self) -> Mask:
         """Whether pressure rises strictly with relative counts from 0 to 1, for each taxel (N,)."""
         match self.form:
             case "linear":

@@ -1,14 +1,14 @@
 """Pressure under a grid from its frames: weighted non-negative least squares on cells finer than the taxels."""
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import fft
 
+from tactiled.arrays import Floats, Floats32
 from tactiled.cover.family import CoverFamily
 from tactiled.cover.operator import aperture_mean
 from tactiled.geometry import Array
 
-Images = NDArray[np.float32]
+Images = Floats32
 
 REFINE = 2  # cells along a taxel's side: with one, a sharp edge between two cells looks like a thinner cover's
 MARGIN = 2  # taxels that the surface reaches past the array
@@ -77,7 +77,7 @@ class Precision:
         common = part[:, :rows, None] + part[:, None, rows : rows + columns] + part[:, -1:, None]
         return np.asarray(weighted - self.weight * common)
 
-    def square(self, residual: Images) -> NDArray[np.float64]:
+    def square(self, residual: Images) -> Floats:
         """Chi-squared (T,) of residuals."""
         return np.asarray((residual * self(residual)).sum(axis=(1, 2), dtype=float))
 

@@ -9,8 +9,8 @@ MAX_RATE, and one on the whole array that comes slower than SHARED_RATE, as when
 from enum import IntEnum
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactiled.arrays import Flags, Floats32, Mask, Reals
 from tactiled.calibrate.blocks import BLOCK_FRAMES, Block
 from tactiled.calibrate.common_mode import TIME_S, References, Sensitivity
 from tactiled.calibrate.neighbourhood import SHARE, Neighbourhood
@@ -41,9 +41,6 @@ LIFTED = 0.3  # of its reading some LIFT_S ago: a loaded taxel that reads less m
 MIN_VOTERS = 5  # their median withstands two that are wrong
 ALONE_SIGMAS, ALONE_ERROR = 2.0, BAND / 4  # of its neighbours' sum, by which a taxel drifts alone
 FELT = 1e-3  # of a contact's pressure: what is felt beyond its reach
-
-Floats = NDArray[np.float32]
-Mask = NDArray[np.bool_]
 
 
 class State(IntEnum):
@@ -105,7 +102,7 @@ def _parts(array: Array) -> list[Mask]:
     return [(column == a) & (row == b) for a in range(side) for b in range(side)]
 
 
-def _median(values: Floats) -> np.float32:
+def _median(values: Floats32) -> np.float32:
     """As `np.median` of some numbers, in a fifth of its time."""
     low, high = (values.size - 1) // 2, values.size // 2
     middle = np.partition(values, (low, high))
@@ -133,7 +130,7 @@ class DriftTracker:
         self._references = References()
         self.reset(np.zeros(array.size, np.float32))
 
-    def reset(self, no_load: NDArray[np.floating]) -> None:
+    def reset(self, no_load: Reals) -> None:
         """Take `no_load` (N,) counts, just measured, as the zeros."""
         size = len(no_load)
         self._no_load = np.asarray(no_load, np.float32)
@@ -155,7 +152,7 @@ class DriftTracker:
         self._time_s: float | None = None
         self._sensitivity.reset()
 
-    def take_over(self, other: "DriftTracker", no_load: NDArray[np.floating]) -> None:
+    def take_over(self, other: "DriftTracker", no_load: Reals) -> None:
         """Go on from where `other` is, by this one's settings, if its zeros are of the same `no_load` (N,)."""
         if other._sign == self._sign and np.array_equal(other._no_load, no_load):
             own = self._around, self._full_scale, self._neighbourhood
@@ -163,11 +160,11 @@ class DriftTracker:
             self._around, self._full_scale, self._neighbourhood = own
 
     @property
-    def correction(self) -> Floats:
+    def correction(self) -> Floats32:
         """Counts (N,) to be added to the zeros of the reset."""
         return self._sign * self._zero
 
-    def update(self, block: Block, sigma: Floats, usable: Mask, references: Floats | None = None) -> None:
+    def update(self, block: Block, sigma: Floats32, usable: Mask, references: Floats32 | None = None) -> None:
         """Take a block, the noise (N,) of its taxels in counts, which of them work, and its reference pads."""
         gap = 0.0 if self._time_s is None else max(block.time_s - self._time_s, 0.0)
         self._time_s = block.time_s
@@ -186,7 +183,7 @@ class DriftTracker:
         self._follow(reading, gap, seconds)
         self._move(seconds, sigma, references)
 
-    def _follow_all(self, reading: Floats, readable: Mask, gap: float, seconds: float) -> None:
+    def _follow_all(self, reading: Floats32, readable: Mask, gap: float, seconds: float) -> None:
         """Move zeros and `reading` (N,) by what all parts of the array read alike: no contact is on all."""
         self._stepped_s += gap
         self._shared_rate *= 1 - min(1.0, seconds / TIME_S)
@@ -215,7 +212,7 @@ class DriftTracker:
         self.common += moved
         self._shared_rate += moved / TIME_S
 
-    def _outside(self, block: Block, reading: Floats, sigma: Floats, weight: float) -> tuple[Mask, Mask]:
+    def _outside(self, block: Block, reading: Floats32, sigma: Floats32, weight: float) -> tuple[Mask, Mask]:
         """Which taxels (N,) read more, and which less, than their noise and their drift explain."""
         rounding = ROUNDING_STEPS * block.step
         margin = BAND * self._full_scale + rounding
@@ -229,7 +226,7 @@ class DriftTracker:
         above = (now > wide + noise) | (lately > wide + smooth_noise)
         return above | moving, (now < -wide - noise) | (lately < -wide - smooth_noise)
 
-    def _alone(self, loaded: Mask, readable: Mask, sigma: Floats, weight: float) -> Mask:
+    def _alone(self, loaded: Mask, readable: Mask, sigma: Floats32, weight: float) -> Mask:
         """Loaded taxels (N,) whose neighbours read less than any load gives them: they drift by themselves."""
         alone = np.zeros_like(loaded)
         if self._neighbourhood is not None and loaded.any():
@@ -241,7 +238,7 @@ class DriftTracker:
             alone[taxels] = total + ALONE_SIGMAS * np.sqrt(variance) < SHARE * share * over[taxels]
         return alone
 
-    def _lifted(self, reading: Floats, margin: float) -> Mask:
+    def _lifted(self, reading: Floats32, margin: float) -> Mask:
         """Loaded taxels (N,) that may be free now: most of their load has gone, or of one within reach."""
         loaded = (self.state == State.LOADED) & (reading < self._missed + margin)
         lifted = loaded & (reading < LIFTED * self._peak)
@@ -249,7 +246,7 @@ class DriftTracker:
         near = self._around(self._lifted_s < LIFT_S) if lifted.any() or loaded.any() else lifted
         return np.asarray(lifted | (loaded & near & (reading < self._peak - margin / 2)))
 
-    def _judge(self, readable: Mask, loaded: Mask, below: Mask, seconds: float) -> NDArray[np.uint8]:
+    def _judge(self, readable: Mask, loaded: Mask, below: Mask, seconds: float) -> Flags:
         """State (N,) of every taxel."""
         near = self._around(loaded)
         free = readable & ~near & ~below
@@ -257,7 +254,7 @@ class DriftTracker:
         conditions = [~readable, loaded, near, below, self._free_s < SETTLE_S]
         return np.select(conditions, list(State)[:-1], State.FREE).astype(np.uint8)
 
-    def _follow(self, reading: Floats, gap: float, seconds: float) -> None:
+    def _follow(self, reading: Floats32, gap: float, seconds: float) -> None:
         """Follow what is known of each taxel while its zero may not: slow motion, and since when it is loaded."""
         loaded = self.state == State.LOADED
         limit = (MAX_RATE * self._full_scale + abs(self._common_rate)) * seconds
@@ -274,7 +271,7 @@ class DriftTracker:
         voters = self.state == State.FREE
         return voters if np.count_nonzero(voters) >= MIN_VOTERS else None
 
-    def _move(self, seconds: float, sigma: Floats, references: Floats | None) -> None:
+    def _move(self, seconds: float, sigma: Floats32, references: Floats32 | None) -> None:
         """Move the zeros: by their own readings, or by the common mode."""
         limit, sensitivity = MAX_RATE * self._full_scale + abs(self._common_rate), self._sensitivity.values
         votes, part = self.state == State.FREE, min(1.0, seconds / TIME_S)

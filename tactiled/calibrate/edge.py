@@ -8,9 +8,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import ConvexHull
 
+from tactiled.arrays import Floats, Ints, Mask
 from tactiled.calibrate.cover_search import Touch, differences
 from tactiled.calibrate.likelihood import Likelihood, Model, Prior, Readings, Solution, Spectrum
 from tactiled.calibrate.presses import Press, usable_presses
@@ -37,8 +37,6 @@ from tactiled.cover.stack import Stack
 from tactiled.errors import ConfigError
 from tactiled.geometry import Array
 
-Floats = NDArray[np.float64]
-
 ANGLES = np.radians(np.arange(0, 360, 5))  # of the first look
 FINER_ANGLES = np.radians(np.linspace(-4, 4, 9))
 MIN_EDGES = 2
@@ -60,7 +58,7 @@ class EdgeModel(Model):
     response: EdgeResponse
     outside: Floats  # (M,) response to a load of 1 beyond the array's border
 
-    def of(self, keep: NDArray[np.bool_], press: NDArray[np.intp]) -> "EdgeModel":
+    def of(self, keep: Mask, press: Ints) -> "EdgeModel":
         """The model of some readings, of presses numbered anew."""
         return replace(self, positions=self.positions[keep], press=press, outside=self.outside[keep])
 
@@ -74,7 +72,7 @@ class EdgeModel(Model):
             model[at], by_shared[at], by_own[at] = self._edge(spectra, at, parameters)
         return self.bent(shared, model, by_shared, by_own)
 
-    def _edge(self, spectra: Floats, at: NDArray[np.bool_], own: Floats) -> tuple[Floats, Floats, Floats]:
+    def _edge(self, spectra: Floats, at: Mask, own: Floats) -> tuple[Floats, Floats, Floats]:
         level, along, third, missing, angle, offset = own
         across, v = distances(self.positions[at], angle, offset)
         rises, slope, ramp = self.response(spectra, angle, across)
@@ -150,7 +148,7 @@ class EdgeTouch(Touch):
             loads.append(share * np.clip(inside / side + 0.5, 0, 1))
         return np.asarray(np.array(loads) @ response.T)
 
-    def near(self, reach: float, depth: float) -> NDArray[np.bool_]:
+    def near(self, reach: float, depth: float) -> Mask:
         """Readings (K, N) within `reach` of an edge, and far enough from the array's border."""
         homogeneous = np.vstack([self.centred.T, np.ones(self.array.size)])
         border = -(ConvexHull(self.centred).equations @ homogeneous).max(axis=0)

@@ -15,6 +15,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 from scipy.special import stdtrit
 
+from tactiled.arrays import Floats, Mask
 from tactiled.calibrate.curve_fit import CurveFit, Points, choose_form, fit, hysteresis
 from tactiled.calibrate.curves import Form, unit_curves
 from tactiled.calibrate.frame_series import FrameSeries
@@ -43,7 +44,6 @@ BETWEEN = 0.3, 0.6  # of the largest reading: more than no load, less than the w
 WEIGHT_TOLERANCE = 0.1  # of the weight's reading, within which a plateau keeps
 SAME_PLACE = 0.5  # correlation of two loads' readings: they lie on the same taxels
 MIN_WEIGHT_HOLD = 0.05  # of the recording
-Floats = NDArray[np.float64]
 
 
 def reach_of(blur: Blur, array: Array) -> Floats:
@@ -184,7 +184,7 @@ def _made(
     end: float,
     means: Means,
     points: Points,
-    dead: NDArray[np.bool_],
+    dead: Mask,
     deviation: Floats,
     loop: float,
 ) -> GainFit:
@@ -204,7 +204,7 @@ def _made(
 
 def _summed(
     points: Points, noise: Floats, array: Array, need: int, reach: Floats | None
-) -> tuple[Points, NDArray[np.bool_], NDArray[np.bool_], float]:
+) -> tuple[Points, Mask, Mask, float]:
     """Points (M', 1, N) of the force over the median taxel's area, those of the M that are used, and dead taxels.
 
     Last the mean share of the force beyond the array, which the points do not have. ConfigError where fewer than
@@ -247,7 +247,7 @@ def _sensed(counts: Floats, reach: Floats) -> Floats:
     return np.asarray(square @ reach / square.sum(axis=1))
 
 
-def _dead(counts: Floats, array: Array) -> tuple[NDArray[np.bool_], Floats]:
+def _dead(counts: Floats, array: Array) -> tuple[Mask, Floats]:
     """Dead taxels (N,), which do not count while their neighbours do; each one's neighbours' mean (M, N)."""
     tree = cKDTree(array.positions)
     near = np.asarray(tree.query(array.positions, k=range(2, min(NEIGHBOURS + 1, array.size) + 1))[1])

@@ -5,15 +5,16 @@ from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
+
+from tactiled.arrays import Floats, Floats32
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameSeries:
     """Frames in the order of their times."""
 
-    times: NDArray[np.float64]  # (T,) s, of each frame's first message
-    counts: NDArray[np.float32]  # (T, N); NaN where a taxel is unknown
+    times: Floats  # (T,) s, of each frame's first message
+    counts: Floats32  # (T, N); NaN where a taxel is unknown
 
     def without(self, taxels: Sequence[int]) -> Self:
         """The same where nothing is known of some taxels."""

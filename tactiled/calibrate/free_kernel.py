@@ -6,13 +6,11 @@ The gain is the stack's times exp(s(q)): never negative, 1 at q = 0, s a smooth 
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
+from tactiled.arrays import Floats
 from tactiled.calibrate.cover_search import Fitted
 from tactiled.calibrate.likelihood import Likelihood, left_out, pooled
-
-Floats = NDArray[np.float64]
 
 GAIN_END = 0.01  # of the stack: beyond END_RATIO times its frequency, s stays what it is
 END_RATIO = 1.5

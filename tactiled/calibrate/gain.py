@@ -6,8 +6,8 @@ from functools import partial
 from math import hypot
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactiled.arrays import Floats, Ints, Mask
 from tactiled.calibrate.curve_fit import Points, choose_form, fit, hysteresis
 from tactiled.calibrate.curves import KNOTS, Curves, Form
 from tactiled.calibrate.frame_series import FrameSeries
@@ -49,7 +49,6 @@ FOLDS = 10  # pieces of time, left out in turn
 MIN_CORRELATION, MIN_FOLLOWING = 0.7, 3  # of a taxel's counts with the pressure, over so many points (p = u⁴: .87)
 UNLIKE_GAIN = 5.0  # times the gain before, or one over it: grams for newtons make 102, kilograms 0.102
 PRESSURES_KPA = (0.01, 1e4)  # of a skin's largest: beyond, the log has another unit
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -117,7 +116,7 @@ def fit_pressure(
 def _uniform(
     points: Points,
     means: Means,
-    used: NDArray[np.bool_],
+    used: Mask,
     array: Array | None,
     trace: Trace | None,
     creep: float = 0,
@@ -174,7 +173,7 @@ def _without_loop(
     return choose_loop(still, points, end, plays, form, bias) or (None, points)
 
 
-def _placed(taxels: NDArray[np.intp], size: int, values: Floats, other: Floats | float = np.nan) -> Floats:
+def _placed(taxels: Ints, size: int, values: Floats, other: Floats | float = np.nan) -> Floats:
     """`values` (L, ...) in the places of some `taxels` (L,) of (size, ...), `other` elsewhere."""
     full = np.empty((size, *values.shape[1:]))
     full[:], full[taxels] = other, values
@@ -191,7 +190,7 @@ def _notes(loop: Loop | None, creep: float, pattern: str) -> tuple[str, ...]:
     return (*notes, pattern) if pattern else tuple(notes)
 
 
-def _follows(points: Points) -> NDArray[np.bool_]:
+def _follows(points: Points) -> Mask:
     """Whether the counts of each taxel (N,) rise with the pressure."""
     counts, pressure = points.counts[..., 0], points.pressure[:, None]
     finite = np.isfinite(counts)
@@ -210,7 +209,7 @@ def assembled(
     end: Floats,
     deviation: Floats,
     hysteresis: Floats,
-    individual: NDArray[np.bool_],
+    individual: Mask,
 ) -> Curves:
     """Curves from parameters (N, P) over relative counts and the signed counts (N,) at the range's end."""
     return Curves(
@@ -292,7 +291,7 @@ def unlike_gain(curves: Curves, before: float | None) -> tuple[str, ...]:
 
 def log_points(
     series: FrameSeries, log: Reference, alignment: Alignment, rails: Rails
-) -> tuple[Points, Means, NDArray[np.bool_], list[slice]]:
+) -> tuple[Points, Means, Mask, list[slice]]:
     """Points of a recording cut into blocks of even time, the means of all blocks, those that are points, all."""
     values = resampled(log, series.times + alignment.offset_s)
     full, width = float(np.nanmax(values)), max(1, -(-values.size // BLOCKS))

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import fdtrc
 
+from tactiled.arrays import Floats, Ints
 from tactiled.calibrate.curve_fit import FREE, Points, fit, value
 from tactiled.calibrate.curves import Form
 from tactiled.calibrate.frame_series import FrameSeries
@@ -19,7 +20,6 @@ CREEP_SHARE = 3**-0.5  # of a decade's creep: loads last a tenth to ten times as
 FIRST_S = 0.1  # after a step, from which its creep counts
 PATTERN_CHANCE = 1e-4  # that gains without a pattern seem to have one
 MIN_NOTED = 0.005  # relative: a smaller pattern or creep does no harm
-Floats = NDArray[np.float64]
 
 
 def branches(pressure: Floats) -> NDArray[np.int64]:
@@ -102,7 +102,7 @@ def creep_per_decade(series: FrameSeries, holds: list[Plateau]) -> float:
     return float(np.sqrt(max(factors[0] ** 2 - 4 * variance, 0.0)))
 
 
-def pattern_note(points: Points, gain: Floats, array: Array, taxels: NDArray[np.intp]) -> str:
+def pattern_note(points: Points, gain: Floats, array: Array, taxels: Ints) -> str:
     """A note where gains, or the shapes of the curves, follow a pattern across the array; "" where none does.
 
     Taxels (L,) differ by chance; a bag that does not press everywhere alike differs by place.

@@ -10,9 +10,9 @@ from itertools import combinations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from tactiled.arrays import Floats32, Ints, Mask, Reals
 from tactiled.calibrate.blocks import DIFFERENCE_VARIANCE, KNOWN_BLOCKS, Block, TaxelNoise
 from tactiled.calibrate.neighbourhood import SHARE, Neighbourhood
 from tactiled.geometry import Array
@@ -32,9 +32,7 @@ CORRELATED = 2.63  # variance of products of fourth differences over that of ind
 QUIET = 0.1, 0.4  # blocks that a quiet one counts as: before a taxel is found noisy, and then
 ZERO_ERROR, ZERO_SIGMAS = 0.002, 2.0  # of full scale, of a zero that drifts, and how many of them count
 
-Floats = NDArray[np.float32]
-Mask = NDArray[np.bool_]
-Evidence = NDArray[np.floating] | Mask
+Evidence = Reals | Mask
 
 
 class Fault(IntEnum):
@@ -108,7 +106,7 @@ class TaxelHealth:
         self._rising = 1 if ends[1] > ends[0] else -1
 
     def update(
-        self, block: Block, noise: TaxelNoise, load: Floats, usable: Mask, swapped: Mask, measured: bool = True
+        self, block: Block, noise: TaxelNoise, load: Floats32, usable: Mask, swapped: Mask, measured: bool = True
     ) -> list[Change]:
         """Take a block, its taxels' noise, load over zero (N,) in counts, which are in use, which are swapped.
 
@@ -146,7 +144,7 @@ class TaxelHealth:
         ceiling = self._ends[1]
         return np.asarray(self._rising * (block.mean - ceiling) >= 0)
 
-    def _unexplained(self, sigma: Floats, load: Floats, readable: Mask, measured: bool) -> tuple[Mask, Mask]:
+    def _unexplained(self, sigma: Floats32, load: Floats32, readable: Mask, measured: bool) -> tuple[Mask, Mask]:
         """Taxels (N,) whose reading no load explains: high without their neighbours, or far below zero."""
         clear = np.abs(load) > np.maximum(LOADED_SIGMAS * sigma, LOADED * self.full_scale)
         suspects = self._neighbourhood.peaks(np.flatnonzero(readable & clear), np.abs(load))
@@ -161,7 +159,7 @@ class TaxelHealth:
             below[suspects] = measured & (count > 0) & (np.sqrt(squares) < -SHARE * own)
         return above, below
 
-    def _look_at_stillness(self, block: Block, sigma: Floats, readable: Mask, unexplained: Mask) -> None:
+    def _look_at_stillness(self, block: Block, sigma: Floats32, readable: Mask, unexplained: Mask) -> None:
         judged = readable & (self._blocks > KNOWN_BLOCKS)
         trembles = sigma >= STUCK_NOISE * block.step
         still = (block.span == 0) & (block.mean == self._mean)
@@ -173,7 +171,7 @@ class TaxelHealth:
         self._score(Fault.STUCK, judged & stuck, readable & ~still)
 
     def _look_at_noise(
-        self, block: Block, noise: TaxelNoise, load: Floats, readable: Mask, measured: bool
+        self, block: Block, noise: TaxelNoise, load: Floats32, readable: Mask, measured: bool
     ) -> None:
         sigma, known = noise.sigma, readable & noise.seen
         typical = float(np.median(sigma[known])) if known.any() else np.inf
@@ -194,7 +192,7 @@ class TaxelHealth:
         enough = RULES[Fault.NOISY].threshold
         self._score(Fault.NOISY, np.where(own, enough, pulled), np.where(joined & ~pulled, enough, quiet))
 
-    def _look_at_presses(self, sigma: Floats, load: Floats, readable: Mask) -> None:
+    def _look_at_presses(self, sigma: Floats32, load: Floats32, readable: Mask) -> None:
         healthy = readable & (self.faults == Fault.HEALTHY)
         padded = np.append(np.where(healthy, load, np.float32(-np.inf)), np.float32(-np.inf))
         opposite = padded[self._pairs].min(axis=0).max(axis=0)
@@ -234,7 +232,7 @@ class _Presses:
         self._like = np.full(taxels, -np.inf, np.float32)  # best response over its neighbours'; -inf: no press
         self._part = np.full(taxels, np.inf, np.float32)  # over the least that it may be; inf: never known
 
-    def look(self, load: Floats, opposite: Floats, needed: Floats) -> None:
+    def look(self, load: Floats32, opposite: Floats32, needed: Floats32) -> None:
         """Take the loads (N,) on a taxel and on the less loaded of two opposite neighbours, `needed` for one."""
         pressed = opposite - self._rest_beside
         on = pressed > needed
@@ -242,14 +240,14 @@ class _Presses:
         np.maximum(self._like, like, out=self._like)
         self.low = on & (like < WEAK_RATIO)
 
-    def compare(self, load: Floats, taxels: NDArray[np.intp], lowest: Floats, clear: Floats) -> None:
+    def compare(self, load: Floats32, taxels: Ints, lowest: Floats32, clear: Floats32) -> None:
         """Compare the loads of `taxels` with the least that they may be, where that is over `clear`."""
         certain = lowest > clear
         at = taxels[certain]
         part = (load - self.rest)[at] / lowest[certain]
         self._part[at] = np.where(np.isfinite(self._part[at]), np.maximum(self._part[at], part), part)
 
-    def end(self, load: Floats, opposite: Floats, needed: Floats) -> tuple[Mask, Floats, Floats]:
+    def end(self, load: Floats32, opposite: Floats32, needed: Floats32) -> tuple[Mask, Floats32, Floats32]:
         """The taxels (N,) on whose neighbours a press has ended, and their best response over both measures."""
         released = opposite < needed / 2
         ended = released & (self._like > -np.inf)
@@ -265,7 +263,7 @@ class _Shares:
     def __init__(self, taxels: int) -> None:
         self._sums = np.zeros((4, taxels))  # own square, product with the neighbours' sum, its variance, blocks
 
-    def add(self, taxels: NDArray[np.intp], own: Floats, beside: Floats, share: Floats) -> tuple[Mask, Mask]:
+    def add(self, taxels: Ints, own: Floats32, beside: Floats32, share: Floats32) -> tuple[Mask, Mask]:
         """Take fourth differences (K, k) of k taxels, and of their neighbours' sum with its variance (K + 1, k).
 
         Gives which taxels (k,) give less than `share` of it to their neighbours, and for which that is certain.
@@ -282,7 +280,7 @@ class _Shares:
         return product < SHARE * share * square, resolved
 
 
-def opposite_pairs(array: Array) -> NDArray[np.intp]:
+def opposite_pairs(array: Array) -> Ints:
     """Pairs (2, 4, N) of opposite neighbours of every taxel; N where there are no more."""
     tree = cKDTree(array.positions)
     near: Any = tree.query_ball_point(array.positions, NEIGHBOUR_PITCHES * array.pitch)  # sorted lists of int

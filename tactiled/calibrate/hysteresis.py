@@ -8,11 +8,9 @@ between u - r and u + min(r, u): its branches close at no load, where it forgets
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactiled.arrays import Floats32, Reals
 from tactiled.errors import ConfigError
-
-Floats = NDArray[np.floating]
 
 
 class Loop(NamedTuple):
@@ -40,13 +38,13 @@ class Loop(NamedTuple):
 class Plays:
     """Play operators of some half-widths for each taxel of an array, from no load on."""
 
-    def __init__(self, half_widths: Floats, end: Floats) -> None:
+    def __init__(self, half_widths: Reals, end: Reals) -> None:
         """`half_widths` (J,) are relative to `end` (N,), the signed counts over no load at the range's end."""
         self._sign = np.sign(end).astype(np.float32)
         self._radius = np.multiply.outer(half_widths, np.abs(end)).astype(np.float32)
         self.state = np.zeros_like(self._radius)  # (J, N) counts, upwards under pressure
 
-    def follow(self, over: Floats) -> NDArray[np.float32]:
+    def follow(self, over: Reals) -> Floats32:
         """Take counts over no load (N,), NaN: unknown, which changes nothing; the new state (J, N)."""
         up = self._sign * over
         above = np.minimum(self._radius, np.maximum(up, np.float32(0)))
@@ -58,27 +56,27 @@ class Plays:
 class LoopFollower:
     """What the hysteresis of one array adds to its counts, frame after frame."""
 
-    def __init__(self, loop: Loop, end: Floats) -> None:
+    def __init__(self, loop: Loop, end: Reals) -> None:
         self._plays = Plays(np.array([loop.near, loop.far]), end)
         self._factor = (loop.weight * np.sign(end)).astype(np.float32)
         self.added = np.zeros(end.size, np.float32)  # (N,) counts
 
     @property
-    def state(self) -> NDArray[np.float32]:
+    def state(self) -> Floats32:
         """All that it knows of the past, to go on from; a copy."""
         return self._plays.state.copy()
 
-    def resume(self, state: NDArray[np.float32]) -> None:
+    def resume(self, state: Floats32) -> None:
         """Go on from a `state`."""
         self._plays.state[...] = state
         self._add()
 
-    def follow(self, over: Floats) -> NDArray[np.float32]:
+    def follow(self, over: Reals) -> Floats32:
         """Take counts over no load (N,), NaN: unknown; what to add to them (N,)."""
         self._plays.follow(over)
         return self._add()
 
-    def _add(self) -> NDArray[np.float32]:
+    def _add(self) -> Floats32:
         near, far = self._plays.state
         self.added = self._factor * (near - far)
         return self.added

@@ -5,8 +5,8 @@ from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactiled.arrays import Floats, Ints, Mask
 from tactiled.calibrate.curve_fit import FREE, Points, fit, least_squares, value
 from tactiled.calibrate.curves import Form
 from tactiled.calibrate.frame_series import FrameSeries
@@ -18,7 +18,6 @@ MIN_GAIN = 0.1  # of the rms error of what was left out, that a model must take 
 SIGNIFICANT_ERRORS = 2.0  # standard errors over the folds, likewise
 MAX_WEIGHT = 0.9
 MAX_CURVES_COMPARED = 64
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,7 +28,7 @@ class Trace:
     pieces: Sequence[slice]  # (M,)
     no_load: Floats  # (N,)
 
-    def of(self, taxels: NDArray[np.intp]) -> "Trace":
+    def of(self, taxels: Ints) -> "Trace":
         """The same of some taxels."""
         series = FrameSeries(self.series.times, self.series.counts[:, taxels])
         return Trace(series, self.pieces, self.no_load[taxels])
@@ -106,13 +105,13 @@ def _pays(points: Points, plain: Points, end: Floats, opened: Floats, form: Form
     return bool(clear and better.mean() < (1 - MIN_GAIN) ** 2 * without.mean())
 
 
-def _left_out(points: Points, out: NDArray[np.bool_], end: Floats, form: Form) -> float:
+def _left_out(points: Points, out: Mask, end: Floats, form: Form) -> float:
     """Mean square error, of the median taxel, of the points that are `out` (M,) by curves of the others."""
     parameters = fit(_part(points, ~out), end, form).parameters
     missed = value(form, parameters, points.counts[out] / end[:, None], points.weight) - points.pressure[out, None]
     return float(np.nanmedian(np.nanmean(missed**2, axis=0)))
 
 
-def _part(points: Points, used: NDArray[np.bool_]) -> Points:
+def _part(points: Points, used: Mask) -> Points:
     keys = ("counts", "pressure", "direction", "cluster", "fold")
     return replace(points, **{key: getattr(points, key)[used] for key in keys})

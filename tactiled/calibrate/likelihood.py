@@ -9,15 +9,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_array
 
+from tactiled.arrays import Floats, Ints, Mask
 from tactiled.calibrate.touch_response import EdgeResponse, TipResponse
 from tactiled.calibrate.unknowns import CURVATURE
 from tactiled.restore.noise import NORMAL_95
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.intp]
 
 # shared (S,) -> gain times the load's transform (n,) on the nodes of a quadrature
 Spectrum = Callable[[Floats], Floats]
@@ -67,7 +64,7 @@ class Model:
     free: tuple[int, ...]  # what is solved for of what is shared; slopes in the rest are 0
     highest: float  # kPa, the highest reading: unit of the bend of the taxels' curves
 
-    def of(self, keep: NDArray[np.bool_], press: Ints) -> "Model":
+    def of(self, keep: Mask, press: Ints) -> "Model":
         """The model of some readings, of presses numbered anew."""
         return replace(self, positions=self.positions[keep], press=press)
 

@@ -1,8 +1,8 @@
 """Checks the map of taxels while an array is in use, from loads that move over it."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactiled.arrays import Floats32
 from tactiled.calibrate.taxel_map import MapVerdict, check_map
 from tactiled.geometry import Array
 
@@ -15,16 +15,14 @@ WINDOW_FRAMES, NEW_FRAMES = 256, 64  # of a verdict, and how many of them the on
 MIN_PRESSED = 0.5  # of the taxels: less, and a scene's own symmetry may look like a wrong map
 SWAPPED = 0.55  # of two taxels' own roughness: they are swapped
 
-Floats = NDArray[np.float32]
-
 
 class MapMonitor:
     """What two windows of frames in a row find wrong with the map of an array."""
 
     def __init__(self, array: Array) -> None:
         self._array = array
-        self._frames: list[Floats] = []  # (N,) each, counts over zero
-        self._sigma: Floats = np.zeros(array.size, np.float32)
+        self._frames: list[Floats32] = []  # (N,) each, counts over zero
+        self._sigma: Floats32 = np.zeros(array.size, np.float32)
         self._looked_at = -np.inf
         self._before = MapVerdict(())
         self.judged = False
@@ -35,7 +33,7 @@ class MapMonitor:
         """Whether the load is worth a look."""
         return not 0 <= time_s - self._looked_at < PERIOD_S
 
-    def push(self, time_s: float, load: Floats, sigma: Floats) -> None:
+    def push(self, time_s: float, load: Floats32, sigma: Floats32) -> None:
         """Take a load and its noise, (N,) counts, 0 where unknown; only one that has moved is kept."""
         self._looked_at, frames = time_s, self._frames
         if len(frames) >= WINDOW_FRAMES or not (load > CLEAR_SIGMAS * sigma).any():

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from warnings import catch_warnings, simplefilter
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactiled.arrays import Floats, Floats32, Mask
 from tactiled.calibrate.frame_series import FrameSeries
 from tactiled.calibrate.plateaus import START_FRAMES, noise
 from tactiled.errors import ConfigError
@@ -18,7 +18,6 @@ LOADED_START = 0.1  # of a typical response: a taxel that reads so much higher a
 TYPICAL_PERCENTILE = 98.0  # of the taxels' responses: those over half of it are typical of pressed ones
 MAX_LOADED_TAXELS = 0.01  # of all: more are no faults
 MAX_SATURATED = 0.2  # of the readings above half the largest
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,9 +55,7 @@ class Means:
     drift: Floats  # (M, N) counts by which no load had moved upwards since the start, taken off them
 
 
-def mean_counts(
-    series: FrameSeries, pieces: Sequence[slice], unloaded: NDArray[np.bool_], sign: float, rails: Rails
-) -> Means:
+def mean_counts(series: FrameSeries, pieces: Sequence[slice], unloaded: Mask, sign: float, rails: Rails) -> Means:
     """Means over `pieces` (M); the `unloaded` (M,) among them say what no load is, interpolated in time.
 
     ConfigError where the array is loaded at the start, or too much is saturated.
@@ -108,9 +105,7 @@ def require_unsaturated(series: FrameSeries, signal: Floats, rails: Rails) -> No
         raise ConfigError(f"{100 * share:.0f} % of the readings under load are saturated: press less")
 
 
-def _means(
-    counts: NDArray[np.float32], pieces: Sequence[slice], rail: float, sign: float
-) -> tuple[Floats, Floats]:
+def _means(counts: Floats32, pieces: Sequence[slice], rail: float, sign: float) -> tuple[Floats, Floats]:
     """Means (M, N), NaN where a taxel saturates or is unknown, and their numbers of known frames (M, N)."""
     means, frames = np.empty((2, len(pieces), counts.shape[1]))
     for n, piece in enumerate(pieces):

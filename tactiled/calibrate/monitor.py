@@ -5,8 +5,8 @@ from dataclasses import dataclass
 from operator import call
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactiled.arrays import Flags, Floats, Floats32
 from tactiled.calibrate.blocks import Blocks, TaxelNoise
 from tactiled.calibrate.calibration import Calibration, Calibrator
 from tactiled.calibrate.creep import Creep, CreepMeter
@@ -23,11 +23,11 @@ from tactiled.geometry import Array
 class SkinState:
     """What is known of N taxels now; none of it changes any more."""
 
-    faults: NDArray[np.uint8]  # (N,) of Fault
-    since_s: NDArray[np.float64]  # (N,) time of the frame from which a taxel has been in its state; NaN: the start
-    noise_counts: NDArray[np.float64]  # (N,) standard deviation, NaN: unknown
-    drift_counts: NDArray[np.float32] | None  # (N,) by which the zeros have moved since they were measured
-    drift_states: NDArray[np.uint8] | None  # (N,) of drift.State; None, both: drift is not tracked
+    faults: Flags  # (N,) of Fault
+    since_s: Floats  # (N,) time of the frame from which a taxel has been in its state; NaN: the start
+    noise_counts: Floats  # (N,) standard deviation, NaN: unknown
+    drift_counts: Floats32 | None  # (N,) by which the zeros have moved since they were measured
+    drift_states: Flags | None  # (N,) of drift.State; None, both: drift is not tracked
     creep: Creep | None
 
 
@@ -109,7 +109,7 @@ class SkinMonitor:
             self._drift.reset(calibrator.no_load)
 
     @property
-    def noise_counts(self) -> NDArray[np.float64]:
+    def noise_counts(self) -> Floats:
         """(N,) each taxel's standard deviation as measured, else as calibrated; NaN: unknown."""
         return np.where(self._noise.reliable, self._noise.sigma, self._configured_noise)
 

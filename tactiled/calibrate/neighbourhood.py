@@ -12,10 +12,10 @@ from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import linprog
 from scipy.spatial import cKDTree
 
+from tactiled.arrays import Floats32, Ints, Mask, Reals
 from tactiled.cover.kernel import Kernel
 from tactiled.cover.operator import matrix
 from tactiled.geometry import Array
@@ -30,18 +30,15 @@ SAME_PLACES = 6  # decimals, in pitches, to which neighbours of two taxels lie a
 SHARE = 0.5  # of the least that a load gives to the neighbours: less, and no load explains a reading
 MIN_RESPONSE = 1e-4  # of a spot on a taxel over its largest one: less is no load of it
 
-Floats = NDArray[np.floating]
-Indices = NDArray[np.intp]
-Mask = NDArray[np.bool_]
 Start = Callable[[Callable[[], None]], object]  # runs a search, at once or on a thread
 
 
 class _Surroundings(NamedTuple):
     """How the cover joins a taxel and its n neighbours."""
 
-    weights: Floats  # (2, n) of a sum that is never above its own reading: of any sign, and none below 0
+    weights: Reals  # (2, n) of a sum that is never above its own reading: of any sign, and none below 0
     close: Mask  # (n,) neighbours that feel what lies on it
-    shares: Floats  # (n, M) of what M spots of pressure give to it
+    shares: Reals  # (n, M) of what M spots of pressure give to it
     share: float  # least sum over all close neighbours
 
 
@@ -54,19 +51,19 @@ class Neighbourhood:
         self._tree = cKDTree(array.positions)
         self._kinds: dict[bytes, int] = {}  # by how the neighbours of a taxel lie
         self._kind = np.full(array.size, -1)  # of each taxel; -1: not asked for so far
-        self._near: dict[int, Indices] = {}  # neighbours (n,) of each of these
+        self._near: dict[int, Ints] = {}  # neighbours (n,) of each of these
         self._joints: dict[int, _Surroundings] = {}  # of each kind
         self._searching = False
         count = min(CLOSE, array.size - 1) + 1
         distance, close = self._tree.query(array.positions, np.arange(1, count + 1))
         self._close = np.where(distance < CLOSE_PITCHES * array.pitch, close, array.size)[:, 1:]
 
-    def peaks(self, taxels: Indices, values: Floats) -> Indices:
+    def peaks(self, taxels: Ints, values: Reals) -> Ints:
         """Those of `taxels` whose close neighbours all have less than SHARE of their value, of values (N,)."""
         beside = np.append(values, -np.inf)[self._close[taxels]].max(axis=1, initial=-np.inf)
         return np.asarray(taxels[beside < SHARE * values[taxels]])
 
-    def lowest(self, taxels: Indices, load: Floats, trusted: Mask) -> NDArray[np.float32]:
+    def lowest(self, taxels: Ints, load: Reals, trusted: Mask) -> Floats32:
         """Lowest loads that `taxels` may have under loads (N,) of which some are trusted; 0: any."""
         lowest = np.zeros(len(taxels), np.float32)
         for of, near, joint in self._alike(taxels):
@@ -75,7 +72,7 @@ class Neighbourhood:
             lowest[of] = np.where(unknown, 0.0, felt).max(axis=1)
         return np.maximum(lowest, 0)
 
-    def beside(self, taxels: Indices, values: Floats, trusted: Mask) -> tuple[Floats, NDArray[np.float32]]:
+    def beside(self, taxels: Ints, values: Reals, trusted: Mask) -> tuple[Reals, Floats32]:
         """Sums (..., k) of values (..., N) over the trusted close neighbours of k taxels, and a share (k,).
 
         The sum of what any load gives to those is this share or more of what it gives to the taxel; 0: any.
@@ -89,7 +86,7 @@ class Neighbourhood:
             share[of[some]] = (counted[some] @ joint.shares).min(axis=1)
         return sums, share
 
-    def _alike(self, taxels: Indices) -> Iterator[tuple[Indices, Indices, _Surroundings]]:
+    def _alike(self, taxels: Ints) -> Iterator[tuple[Ints, Ints, _Surroundings]]:
         """Numbers (k,) in `taxels` of those that are joined alike, their neighbours (k, n), and the joint."""
         for taxel in taxels[self._kind[taxels] < 0].tolist():
             self._look_around(taxel)
@@ -108,7 +105,7 @@ class Neighbourhood:
         self._near[taxel] = np.array(sorted({*near} - {taxel}), int)
         self._kind[taxel] = self._kinds.setdefault(self._places(taxel).tobytes(), len(self._kinds))
 
-    def _places(self, taxel: int) -> Floats:
+    def _places(self, taxel: int) -> Reals:
         """Places (n, 2) of its neighbours, in pitches from it."""
         offsets = self._array.positions[self._near[taxel]] - self._array.positions[taxel]
         return np.asarray((offsets / self._array.pitch).round(SAME_PLACES) + 0.0)
@@ -129,7 +126,7 @@ class Neighbourhood:
             self._searching = False
 
 
-def _responses(kernel: Kernel, array: Array, places: Floats, reach: float, side: float) -> tuple[Floats, Floats]:
+def _responses(kernel: Kernel, array: Array, places: Reals, reach: float, side: float) -> tuple[Reals, Reals]:
     """Responses (M,) of a taxel, and (n, M) of its neighbours at `places` (n, 2), to spots of pressure.
 
     These are squares of `side` out to `reach`; all in pitches from the taxel.
@@ -146,7 +143,7 @@ def _responses(kernel: Kernel, array: Array, places: Floats, reach: float, side:
     return np.maximum(own[0], 0.0), np.maximum(beside, 0.0)
 
 
-def _weights(own: Floats, beside: Floats) -> Floats:
+def _weights(own: Reals, beside: Reals) -> Reals:
     """Weights (2, n) of the neighbours' responses (n, M) with the largest sum that is nowhere above `own` (M,)."""
     n = len(beside)
     worth = np.concatenate([np.full(n, 1 - GAIN_ERROR), np.full(n, -1 - GAIN_ERROR)])

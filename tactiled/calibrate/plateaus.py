@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactiled.arrays import Floats, Reals
 from tactiled.calibrate.frame_series import FrameSeries
 from tactiled.restore.noise import MAD_TO_SIGMA, bends
 
@@ -13,7 +13,6 @@ CLEAR_SIGMAS, CLEAR_SHARE = 4.0, 0.05  # of noise, and of the largest reading: l
 MAX_BINS = 1500  # of the signal: the search takes their square
 MERGED_TOLERANCES = 2.0  # by which two neighbouring plateaus differ, at least: less is creep
 TRIMMED = 0.15  # of a plateau's frames at each end: they may belong to the change of level
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,7 +45,7 @@ def response(series: FrameSeries, weight: Floats | float | None = None) -> Float
     return np.asarray(np.nan_to_num(middle.astype(np.float64)))
 
 
-def noise(values: NDArray[np.floating]) -> Floats:
+def noise(values: Reals) -> Floats:
     """Standard deviation of white noise in values (T, ...), along time; NaN ignored, 0 of fewer than 3."""
     size = np.abs(bends(np.asarray(values)))
     if not len(size):

@@ -5,15 +5,12 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactiled.arrays import Floats, Floats32, Ints, Mask, Reals
 from tactiled.calibrate.tare import load_description
 from tactiled.errors import ConfigError
 from tactiled.geometry import Array, tiling
 from tactiled.restore.noise import detection_threshold
-
-Floats = NDArray[np.float64]
-Flags = NDArray[np.bool_]
 
 CHUNK_FRAMES = 2000  # of which running means are made at once: 16 MB
 SMOOTHED_FRAMES = 5  # whose mean is held against the noise
@@ -44,10 +41,10 @@ class Press:
 
 
 def find_presses(
-    pressure: NDArray[np.floating],
+    pressure: Reals,
     array: Array,
     noise_kpa: Floats | float,
-    saturated: Flags | None = None,
+    saturated: Mask | None = None,
     border: bool = False,
 ) -> list[Press]:
     """Every press in frames (T, N) of kPa, NaN: unknown; the unusable ones say why.
@@ -88,7 +85,7 @@ def usable_presses(presses: Sequence[Press], min_count: int, advice: str) -> lis
     return usable
 
 
-def unloaded(frames: NDArray[np.floating], noise: float) -> Floats:
+def unloaded(frames: Reals, noise: float) -> Floats:
     """Reading (N,) of the array without a load: a mean of the frames (T, N) with the lowest total.
 
     ConfigError where these have a load.
@@ -104,7 +101,7 @@ def unloaded(frames: NDArray[np.floating], noise: float) -> Floats:
     return zero
 
 
-def _peaks(frames: NDArray[np.float32], noise: Floats) -> Floats:
+def _peaks(frames: Floats32, noise: Floats) -> Floats:
     """Highest reading (T,) of a running mean of frames (T, N), over its own noise."""
     half, peaks = SMOOTHED_FRAMES // 2, []
     for start in range(0, len(frames), CHUNK_FRAMES):
@@ -116,7 +113,7 @@ def _peaks(frames: NDArray[np.float32], noise: Floats) -> Floats:
     return np.concatenate(peaks)
 
 
-def slow_drift(frames: NDArray[np.float32], noise: Floats) -> NDArray[np.float32]:
+def slow_drift(frames: Floats32, noise: Floats) -> Floats32:
     """Slow change of the zero (T, N), between means of frames that are far from the strongest press."""
     peaks = _peaks(frames, noise)
     quiet = peaks < max(detection_threshold(1.0, frames.shape[1]), QUIET_FRACTION * peaks.max())
@@ -137,14 +134,14 @@ def slow_drift(frames: NDArray[np.float32], noise: Floats) -> NDArray[np.float32
     return np.asarray(block_means[low] * (1 - share) + block_means[np.minimum(low + 1, len(means) - 1)] * share)
 
 
-def _centre(frames: NDArray[np.floating], array: Array) -> Floats:
+def _centre(frames: Reals, array: Array) -> Floats:
     """Centres (T, 2) in mm of what is above a third of each frame's peak."""
     values = np.nan_to_num(frames)
     above = np.maximum(values - values.max(axis=1, keepdims=True) / 3, 0)
     return np.asarray(above @ array.positions / np.maximum(above.sum(axis=1, keepdims=True), 1e-30))
 
 
-def _plateau(run: NDArray[np.float32], array: Array) -> NDArray[np.intp]:
+def _plateau(run: Floats32, array: Array) -> Ints:
     """Frames of a run (T, N) whose load is high and whose contact stands still."""
     pattern = np.nan_to_num(np.nan_to_num(run).mean(axis=0))
     level = np.nan_to_num(run) @ pattern
@@ -155,9 +152,7 @@ def _plateau(run: NDArray[np.float32], array: Array) -> NDArray[np.intp]:
     return np.asarray(high[still])
 
 
-def _mean(
-    frames: NDArray[np.float32], loaded: Flags, plateau: NDArray[np.intp], noise: Floats
-) -> tuple[Floats, Floats]:
+def _mean(frames: Floats32, loaded: Mask, plateau: Ints, noise: Floats) -> tuple[Floats, Floats]:
     """Mean (N,) of a plateau's frames over the frames without a load on both sides, and its standard error."""
     if not len(plateau):
         return np.full_like(noise, np.nan), noise
@@ -176,7 +171,7 @@ def _mean(
     return mean, np.where(np.isfinite(variance), noise * np.sqrt(variance), np.inf)
 
 
-def _unusable(mean: Floats, error: Floats, plateau: NDArray[np.intp], array: Array, border: bool) -> str:
+def _unusable(mean: Floats, error: Floats, plateau: Ints, array: Array, border: bool) -> str:
     """Why a press cannot be used; "" where it can."""
     if len(plateau) < MIN_PLATEAU_FRAMES:
         return f"never stands still: {len(plateau)} frames of full load at one place"
@@ -189,7 +184,7 @@ def _unusable(mean: Floats, error: Floats, plateau: NDArray[np.intp], array: Arr
     return ""
 
 
-def _ceiling(saturated: Flags) -> str:
+def _ceiling(saturated: Mask) -> str:
     """Reason against a plateau with taxels at their ceiling in any of its frames (n, N)."""
     taxels = int(saturated.any(axis=0).sum())
     where = f"{taxels} taxels at their ceiling" if taxels > 1 else "1 taxel at its ceiling"
@@ -197,7 +192,7 @@ def _ceiling(saturated: Flags) -> str:
 
 
 @lru_cache(maxsize=8)  # of arrays: 0.1 s for 32 x 32 taxels, at every look at presses that come live
-def _at_border(array: Array) -> Flags:
+def _at_border(array: Array) -> Mask:
     """Which taxels (N,) have no neighbour over a wide angle."""
     spacing = NEIGHBOUR_PITCHES * float(np.sqrt(tiling(array).areas.mean()))
     border = np.ones(array.size, bool)

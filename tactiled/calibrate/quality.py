@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tactiled.arrays import Floats
 from tactiled.geometry import Array
 
 ZONES_A_SIDE = 3
@@ -14,8 +15,6 @@ ZONES = (
     ("in the bottom left corner", "at the bottom border", "in the bottom right corner"),
 )
 MAX_ZONES_NAMED = 2  # in a line of advice
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,8 +3,8 @@
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactiled.arrays import Floats, Mask, Reals
 from tactiled.calibrate.calibration import Calibration, Calibrator
 from tactiled.calibrate.frame_series import FrameSeries
 from tactiled.calibrate.health import NOISY_RATIO, opposite_pairs
@@ -17,17 +17,13 @@ from tactiled.geometry import Array
 from tactiled.restore.noise import estimate
 from tactiled.units import number_text
 
-Floats = NDArray[np.float64]
-
 UNCALIBRATED_SPREAD = 0.2  # relative standard deviation of uncalibrated gains
 SILENT = 0.1  # of what two opposite neighbours feel
 CLEARLY_PRESSED = 0.2  # of a press's peak: what lies between two taxels that feel more is pressed, too
 NOISE_FRAMES = 2000  # of the middle of a recording, that its noise is measured from
 
 
-def pressures(
-    series: FrameSeries, calibration: Calibration, ends: tuple[float, float]
-) -> tuple[Floats, NDArray[np.bool_]]:
+def pressures(series: FrameSeries, calibration: Calibration, ends: tuple[float, float]) -> tuple[Floats, Mask]:
     """Pressures (T, N) in kPa (in counts without a gain), NaN: unknown, and which readings are at their ceiling.
 
     Where no ceiling is configured, it is one of the codec's `ends`. A taxel of NOISY_RATIO times the array's noise
@@ -84,12 +80,12 @@ def without_dead(presses: list[Press], array: Array) -> tuple[list[Press], list[
     return rest, np.flatnonzero(dead).tolist()
 
 
-def noise_of(pressure: NDArray[np.floating], calibration: Calibration) -> float:
+def noise_of(pressure: Reals, calibration: Calibration) -> float:
     """Standard deviation (kPa) of a taxel in frames (T, N), not below what rounding to counts makes."""
     return max(estimate(_middle(pressure)), calibration.floor_kpa)
 
 
-def _middle(frames: NDArray[np.floating]) -> NDArray[np.floating]:
+def _middle(frames: Reals) -> Reals:
     """NOISE_FRAMES of frames (T, N), if there are as many."""
     start = max(0, (len(frames) - NOISE_FRAMES) // 2)
     return frames[start : start + NOISE_FRAMES]

@@ -3,8 +3,8 @@
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactiled.arrays import Floats
 from tactiled.calibrate.blind import fit_blind
 from tactiled.calibrate.calibration import Calibration
 from tactiled.calibrate.cover_fit import CoverFit, Method
@@ -25,8 +25,6 @@ from tactiled.calibrate.unknowns import CALIPER_ERROR_MM, USUAL, Unknowns
 from tactiled.cover.family import CoverFamily
 from tactiled.cover.stack import Stack
 from tactiled.geometry import Array
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

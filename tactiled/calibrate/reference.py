@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Literal, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactiled.arrays import Floats
 from tactiled.calibrate.hysteresis import Plays
 from tactiled.errors import ConfigError
 from tactiled.units import number_text
@@ -31,7 +31,6 @@ MAX_LOOP_SAMPLES = 1500
 MIN_EXPLAINED = 0.7  # residual with loops over that of a plain curve: above it there is no hysteresis
 CURVE_KNOTS = np.linspace(0, 1, 9)  # of readings over the log: any smooth curve to 1 %
 BLOCKS = 20  # of time, whose scatter is the offset's standard error
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -6,7 +6,6 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Annotated, Any, Self, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import (
     AfterValidator,
     BaseModel,
@@ -18,6 +17,7 @@ from pydantic import (
     model_validator,
 )
 
+from tactiled.arrays import Floats, Reals
 from tactiled.bounds import Syntax
 from tactiled.calibrate.cover_fit import CoverFit, Method
 from tactiled.calibrate.curves import Curves, Form
@@ -98,12 +98,12 @@ class NoLoadSection(Section):
     counts: OptionalValues  # of each taxel
 
     @classmethod
-    def of(cls, counts: NDArray[np.floating], origin: Origin) -> Self:
+    def of(cls, counts: Reals, origin: Origin) -> Self:
         """From counts (N,), NaN where unknown."""
         return build(cls, origin=origin, counts=optional(counts))
 
     @property
-    def values(self) -> NDArray[np.float64]:
+    def values(self) -> Floats:
         """Counts (N,); NaN where unknown."""
         return np.array(self.counts, float)
 
@@ -242,12 +242,12 @@ class HealthSection(Section):
     ]  # standard deviation of each taxel
 
     @classmethod
-    def of(cls, dead: tuple[int, ...], noise_counts: NDArray[np.floating], origin: Origin) -> Self:
+    def of(cls, dead: tuple[int, ...], noise_counts: Reals, origin: Origin) -> Self:
         """From indices of dead taxels and noise (N,), NaN where unknown."""
         return build(cls, origin=origin, dead=dead, noise_counts=optional(noise_counts))
 
 
-def gain_sections(fit: "GainFit", noise_counts: NDArray[np.floating], origin: Origin) -> dict[str, Section]:
+def gain_sections(fit: "GainFit", noise_counts: Reals, origin: Origin) -> dict[str, Section]:
     """All that a fitted gain tells of an array whose taxels have that noise (N,)."""
     return {
         "gain": GainSection.of(fit.curves, origin),
@@ -282,16 +282,16 @@ def _attempt(make: Callable[[], object]) -> None:
         raise ValueError(str(error)) from error
 
 
-def optional(values: NDArray[np.floating]) -> tuple[float | None, ...]:
+def optional(values: Reals) -> tuple[float | None, ...]:
     """Values with None for NaN."""
     return tuple(None if np.isnan(each) else float(each) for each in np.asarray(values).ravel())
 
 
-def _rows(values: NDArray[np.floating]) -> tuple[tuple[float, ...], ...]:
+def _rows(values: Reals) -> tuple[tuple[float, ...], ...]:
     return tuple(map(tuple, values.tolist()))
 
 
-def _check_kernel(q: NDArray[np.float64], gain: NDArray[np.float64]) -> None:
+def _check_kernel(q: Floats, gain: Floats) -> None:
     """ValueError for what is no gain over frequency: 1 at 0, then of finite values over rising frequencies."""
     if len(q) != len(gain) or not MIN_KERNEL_SIZE <= len(q) <= MAX_KERNEL_SIZE:
         sizes = f"{MIN_KERNEL_SIZE} to {MAX_KERNEL_SIZE}"

@@ -9,10 +9,10 @@ from itertools import combinations_with_replacement
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csr_array
 from scipy.spatial import cKDTree
 
+from tactiled.arrays import Ints, Mask, Reals
 from tactiled.geometry import Array
 
 Direction = Literal["right", "down"]
@@ -28,15 +28,12 @@ MAX_SWAPS, MAX_BLOCK_SWAPS = 16, 4
 SUSPECTS, SUSPECT_BLOCKS = 64, 8  # the roughest taxels, and blocks of each size: swaps are sought among them
 MAX_BLOCKS, MIN_BLOCK = 64, 4  # connectors of an array, and taxels of one
 
-Floats = NDArray[np.floating]
-Indices = NDArray[np.intp]
-
 
 class MapVerdict(NamedTuple):
     """What a roll says of the map."""
 
     texts: tuple[str, ...]  # for people: what is wrong, or why it cannot be told
-    order: Indices | None = None  # (N,) the taxel that lies at each place; None: cannot tell
+    order: Ints | None = None  # (N,) the taxel that lies at each place; None: cannot tell
     swaps: tuple[tuple[int, int], ...] = ()
 
     @property
@@ -46,9 +43,9 @@ class MapVerdict(NamedTuple):
 
 
 def check_map(
-    pressure: Floats,
+    pressure: Reals,
     array: Array,
-    noise: float | Floats,
+    noise: float | Reals,
     direction: Direction | None = None,
     min_pressed: float = MIN_PRESSED,
     swapped: float = SWAPPED,
@@ -79,26 +76,26 @@ def check_map(
 class _Roll(NamedTuple):
     """How alike taxels felt it."""
 
-    pressed: NDArray[np.bool_]  # (N,) the others say nothing
-    power: Floats  # (N,) of their readings
-    squares: Floats  # (N, N) of the difference of any two
-    pairs: Indices  # (2, E) places that are neighbours
+    pressed: Mask  # (N,) the others say nothing
+    power: Reals  # (N,) of their readings
+    squares: Reals  # (N, N) of the difference of any two
+    pairs: Ints  # (2, E) places that are neighbours
 
     @classmethod
-    def of(cls, alike: Floats, pressed: NDArray[np.bool_], array: Array) -> "_Roll":
+    def of(cls, alike: Reals, pressed: Mask, array: Array) -> "_Roll":
         """From readings (T, N) of about the same strength."""
         pairs = cKDTree(array.positions).query_pairs(EDGE_PITCHES * array.pitch, output_type="ndarray")
         moments = alike.T @ alike
         power = np.diag(moments)
         return cls(pressed, power, power[:, None] + power - 2 * moments, np.asarray(pairs.T))
 
-    def roughness(self, a: Indices, b: Indices) -> float:
+    def roughness(self, a: Ints, b: Ints) -> float:
         """Mean square difference of taxels (E,) over that of the readings."""
         both = self.pressed[a] & self.pressed[b]
         a, b = a[both], b[both]
         return float(self.squares[a, b].sum() / max((self.power[a] + self.power[b]).sum(), 1e-9))
 
-    def of_places(self, order: Indices) -> Floats:
+    def of_places(self, order: Ints) -> Reals:
         """Roughness (N,) of each place against its neighbours."""
         (a, b), n = order[self.pairs], len(order)
         both = self.pressed[a] & self.pressed[b]
@@ -107,7 +104,7 @@ class _Roll(NamedTuple):
         return np.asarray(rough / np.maximum(scale, 1e-9))
 
 
-def _maps(array: Array) -> dict[str, Indices]:
+def _maps(array: Array) -> dict[str, Ints]:
     """The taxel at each place (N,) of the maps that are often meant."""
     order = np.arange(array.size)
     maps = {"as configured": order}
@@ -121,7 +118,7 @@ def _maps(array: Array) -> dict[str, Indices]:
     return maps
 
 
-def _blocks(array: Array) -> Iterator[tuple[str, Indices]]:
+def _blocks(array: Array) -> Iterator[tuple[str, Ints]]:
     """Name and taxels (blocks, n) of what may share a connector: runs of the messages, rows, columns."""
     order, columns = np.arange(array.size), array.shape[1] if array.shape else 0
     for count in range(2, min(MAX_BLOCKS, array.size // MIN_BLOCK) + 1):
@@ -131,7 +128,7 @@ def _blocks(array: Array) -> Iterator[tuple[str, Indices]]:
         yield "column", order.reshape(-1, columns).T
 
 
-def _swapped_blocks(roll: _Roll, array: Array, order: Indices) -> list[str]:
+def _swapped_blocks(roll: _Roll, array: Array, order: Ints) -> list[str]:
     """Swap in `order` blocks, or reverse them, as long as it makes their seams much smoother; says which."""
     texts: list[str] = []
     while len(texts) < MAX_BLOCK_SWAPS:
@@ -153,7 +150,7 @@ def _swapped_blocks(roll: _Roll, array: Array, order: Indices) -> list[str]:
     return texts
 
 
-def _smoother(roll: _Roll, order: Indices, other: Indices) -> float:
+def _smoother(roll: _Roll, order: Ints, other: Ints) -> float:
     """By how much another order is smoother where it differs; 0 unless it is much smoother."""
     now, then = np.sort(order[roll.pairs], axis=0), np.sort(other[roll.pairs], axis=0)
     changed = (now != then).any(axis=0)
@@ -161,7 +158,7 @@ def _smoother(roll: _Roll, order: Indices, other: Indices) -> float:
     return (before - after) * float(changed.sum()) if before > MIN_ROUGH and after < SEAM * before else 0.0
 
 
-def _block_text(name: str, blocks: Indices, a: int, b: int) -> str:
+def _block_text(name: str, blocks: Ints, a: int, b: int) -> str:
     """What is wrong with two blocks, or with one, in words."""
     texts = [
         f"{name} {at}" if name != "taxels" else f"taxels {blocks[at][0]} to {blocks[at][-1]}" for at in (a, b)
@@ -169,7 +166,7 @@ def _block_text(name: str, blocks: Indices, a: int, b: int) -> str:
     return f"{texts[0]} in reverse order" if a == b else f"{texts[0]} and {texts[1]} swapped"
 
 
-def _swaps(roll: _Roll, order: Indices, swapped: float) -> tuple[tuple[int, int], ...]:
+def _swaps(roll: _Roll, order: Ints, swapped: float) -> tuple[tuple[int, int], ...]:
     """Swap in `order` what lies at two places, as long as it makes both much smoother; gives the taxels."""
     swaps: list[tuple[int, int]] = []
     while len(swaps) < MAX_SWAPS:
@@ -188,7 +185,7 @@ def _swaps(roll: _Roll, order: Indices, swapped: float) -> tuple[tuple[int, int]
     return tuple(swaps)
 
 
-def _swap_gains(roll: _Roll, order: Indices, suspects: Indices, swapped: float) -> Floats:
+def _swap_gains(roll: _Roll, order: Ints, suspects: Ints, swapped: float) -> Reals:
     """By how much smoother both are (K, K) if what lies at two of K places is swapped; 0 unless much smoother."""
     n, (a, b) = len(order), roll.pairs
     both = roll.pressed[order[a]] & roll.pressed[order[b]]
@@ -202,7 +199,7 @@ def _swap_gains(roll: _Roll, order: Indices, suspects: Indices, swapped: float) 
     return np.where(after < swapped * before, before - after, 0)
 
 
-def _turned(frames: Floats, array: Array, direction: Direction) -> str:
+def _turned(frames: Reals, array: Array, direction: Direction) -> str:
     """How the map is turned if the contact moves otherwise than in `direction`; "" if it does not."""
     force = frames.clip(0).sum(axis=1)
     lies = force > PRESSED_PART * force.max()

@@ -4,8 +4,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactiled.arrays import Floats, Mask
 from tactiled.calibrate.cover_search import Touch, differences
 from tactiled.calibrate.likelihood import Likelihood, Model, Prior, Readings, Solution, Spectrum
 from tactiled.calibrate.presses import Press, usable_presses
@@ -15,8 +15,6 @@ from tactiled.cover.family import CoverFamily
 from tactiled.cover.stack import Stack
 from tactiled.errors import ConfigError
 from tactiled.geometry import Array
-
-Floats = NDArray[np.float64]
 
 SPHERE = 0.5  # exponent of its pressure's profile on a thick cover
 UNKNOWN_TIP_DEVIATION = 1.0  # of the logarithm of an unknown tip's radius, about half a pitch
@@ -70,7 +68,7 @@ class TipTouch(Touch):
         positions, highest = self.array.positions[readings.taxel], float(readings.value.max())
         return TipModel(positions, readings.press, spectrum, response, self.free, highest)
 
-    def near(self, reach: float, depth: float) -> NDArray[np.bool_]:
+    def near(self, reach: float, depth: float) -> Mask:
         """Readings (K, N) within `reach` of a press's place."""
         del depth
         offsets = self.array.positions[None] - self.prior.own[:, None, 1:]

@@ -10,15 +10,13 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 from scipy.special import gamma, jv
 
+from tactiled.arrays import Floats
 from tactiled.cover.family import CoverFamily
 from tactiled.cover.operator import aperture_mean
 from tactiled.geometry import Array
-
-Floats = NDArray[np.float64]
 
 # With these the tables agree with `cover.operator` to 1e-4 of the peak: tests/calibrate/test_touch_response.py.
 HARMONICS = 4  # of a square aperture: 0, 4, 8, 12

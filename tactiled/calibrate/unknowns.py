@@ -3,11 +3,9 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactiled.arrays import Floats
 from tactiled.geometry import Array
-
-Floats = NDArray[np.float64]
 
 # What presses share, in this order: logarithm of the thickness over the configured one; of the tip's radius or the
 # ridge's width (mm); of the aperture over the configured one; what is added to Poisson's ratio; the bend of the

@@ -7,9 +7,9 @@ from typing import Annotated
 
 import numpy as np
 import typer
-from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
+from tactiled.arrays import Floats
 from tactiled.build import configured_file, make_array, make_calibration, make_codec, make_stack
 from tactiled.calibrate import calibration_file
 from tactiled.calibrate.calibration_file import CalibrationFile
@@ -23,8 +23,6 @@ from tactiled.config import schema
 from tactiled.cover.stack import Stack
 from tactiled.errors import ConfigError
 from tactiled.runtime.frame_series import read_frame_series
-
-Floats = NDArray[np.float64]
 
 
 def cover(

@@ -9,10 +9,10 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 import typer
-from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
+from tactiled.arrays import Floats
 from tactiled.build import configured_file, make_array, make_stack
 from tactiled.cli import options
 from tactiled.cli.calibrate import matching
@@ -23,8 +23,6 @@ from tactiled.cover.stack import Layer, Profile, Stack
 from tactiled.cover.summary import CoverSummary, summarise
 from tactiled.errors import ConfigError
 from tactiled.geometry import Array, grid
-
-Floats = NDArray[np.float64]
 
 LAYER_HELP = (
     "T,E,NU of one layer in place of the cover's three options; repeat it from the top down. "

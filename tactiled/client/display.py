@@ -8,7 +8,8 @@ from struct import pack
 from zlib import compress, crc32
 
 import numpy as np
-from numpy.typing import NDArray
+
+from tactiled.arrays import Flags, Floats32
 
 LEVELS = 254  # greys; two colours for NaN follow
 NAN_COLORS = (200, 0, 0), (255, 255, 255)
@@ -17,7 +18,7 @@ MIN_TOP_SIGMAS = 10.0  # noise standard deviations: on a shorter scale noise wou
 
 
 @cache
-def palette() -> NDArray[np.uint8]:
+def palette() -> Flags:
     """256 colours (256, 3): greys in equal steps of CIELAB's lightness from black to white, and those of NaN."""
     lightness = np.linspace(0.0, 100.0, LEVELS)
     luminance = np.where(lightness > 8, ((lightness + 16) / 116) ** 3, lightness * 27 / 24389)
@@ -25,7 +26,7 @@ def palette() -> NDArray[np.uint8]:
     return np.vstack([np.tile(255 * grey[:, None], 3).round(), NAN_COLORS]).astype(np.uint8)
 
 
-def png(values: NDArray[np.float32], top: float) -> bytes:
+def png(values: Floats32, top: float) -> bytes:
     """A PNG of an image (rows, columns): black at 0, white from `top` on; NaN is hatched in red."""
     side = max(MIN_CELL_PIXELS, PICTURE_PIXELS // max(values.shape))
     pixels = np.kron(values, np.ones((side, side), np.float32))
@@ -42,9 +43,7 @@ def png(values: NDArray[np.float32], top: float) -> bytes:
     return b"\x89PNG\r\n\x1a\n" + b"".join(coded)
 
 
-def html(
-    title: str, images: Mapping[str, NDArray[np.float32]], unit: str, noise: float, facts: Mapping[str, object]
-) -> str:
+def html(title: str, images: Mapping[str, Floats32], unit: str, noise: float, facts: Mapping[str, object]) -> str:
     """Images (rows, columns) or (taxels,) in `unit` on one scale of greys, over a table of facts."""
     peaks = {name: float(np.fmax.reduce(image, axis=None, initial=np.nan)) for name, image in images.items()}
     top = float(np.fmax.reduce([*peaks.values(), MIN_TOP_SIGMAS * noise, 1e-6]))

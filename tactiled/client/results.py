@@ -9,6 +9,7 @@ from typing import Any, get_args, get_type_hints
 import numpy as np
 from numpy.typing import NDArray
 
+from tactiled.arrays import Flags, Floats, Floats32
 from tactiled.client.display import html
 from tactiled.client.stream import Image
 from tactiled.frames import FrameWarning
@@ -112,10 +113,10 @@ class Window:
     unit: Unit  # counts of shear, and of an uncalibrated sensor
     cut: bool  # whether the service may have discarded images of the window's beginning
     sequence: NDArray[np.int64]  # (T,); lost frames leave gaps
-    time: NDArray[np.float64]  # (T,) s, Unix, of each frame's first CAN message
+    time: Floats  # (T,) s, Unix, of each frame's first CAN message
     method: NDArray[np.str_]  # (T,) that restored each
-    flags: NDArray[np.uint8]  # (T, rows, columns) or (T, taxels) of the raw image, as `frames.FLAG_BITS`
-    values: NDArray[np.float32]  # (T, rows, columns) or (T, taxels); shear (T, 2, ...), x and y; NaN: no data
+    flags: Flags  # (T, rows, columns) or (T, taxels) of the raw image, as `frames.FLAG_BITS`
+    values: Floats32  # (T, rows, columns) or (T, taxels); shear (T, 2, ...), x and y; NaN: no data
 
     def _repr_html_(self) -> str:
         """Show the highest value of each cell in a notebook."""

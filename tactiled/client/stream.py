@@ -13,12 +13,11 @@ from typing import Any, NamedTuple
 from urllib.error import URLError
 from urllib.parse import urlencode
 
-import numpy as np
-from numpy.typing import NDArray
 from websockets.asyncio.client import connect as connect_async
 from websockets.exceptions import ConnectionClosed, WebSocketException
 from websockets.sync.client import connect as connect_sync
 
+from tactiled.arrays import Flags, Floats32
 from tactiled.client.display import html
 from tactiled.errors import ConfigError, TactileError
 from tactiled.units import COUNTS, FORCE_UNITS, PRESSURE, Unit
@@ -45,16 +44,16 @@ REFUSED = set(range(4400, 4500)) - {TOO_MANY}  # close codes that another attemp
 class Image:
     """One frame, raw and restored, and its shear if requested."""
 
-    raw: NDArray[np.float32]  # in `unit`, (rows, columns); one row where the layout is no grid; NaN: unknown
-    restored: NDArray[np.float32]  # in `unit`
-    flags: NDArray[np.uint8]  # of raw's shape, as `frames.FLAG_BITS`
+    raw: Floats32  # in `unit`, (rows, columns); one row where the layout is no grid; NaN: unknown
+    restored: Floats32  # in `unit`
+    flags: Flags  # of raw's shape, as `frames.FLAG_BITS`
     sequence: int
     timestamp: float  # s, Unix, of the frame's first CAN message
     noise_kpa: float  # standard deviation of a raw taxel; NaN in counts
     resolution_mm: float
     status: dict[str, Any]  # the newest of the stream: state, method, ran, loss, warnings, ...
     sensor: str
-    shear: NDArray[np.float32] | None = None  # counts along x and y, (2, rows, columns); NaN: unknown
+    shear: Floats32 | None = None  # counts along x and y, (2, rows, columns); NaN: unknown
     noise: float = math.nan  # as noise_kpa, in `unit`
     unit: Unit = PRESSURE  # of pressures: counts where the sensor is uncalibrated
     force: float = math.nan  # total of `restored`, N or counts mm2; NaN where too little is known

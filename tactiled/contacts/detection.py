@@ -6,11 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
+from tactiled.arrays import Floats, Floats32, Mask
 from tactiled.contacts.felt import is_known
 from tactiled.geometry import Array, Cells
 from tactiled.units import FORCE_SCALES, PRESSURE, Unit
 
-Floats = NDArray[np.float64]
 Labels = NDArray[np.int64]
 
 # `python -m tests.study contacts` measures what these bounds find and split.
@@ -70,11 +70,11 @@ class Finder:
 
     def __call__(
         self,
-        image: NDArray[np.float32],
+        image: Floats32,
         noise: float,
         unit: Unit = PRESSURE,
         faint: bool = False,
-        shares: NDArray[np.float32] | None = None,
+        shares: Floats32 | None = None,
         before: Labels | None = None,
     ) -> list[Contact]:
         """Contacts of an image (in `unit`), the strongest first, all with id 0; `noise` is a cell's.
@@ -141,7 +141,7 @@ class Finder:
         )
 
 
-def _ends(array: Array, cells: Cells) -> NDArray[np.bool_]:
+def _ends(array: Array, cells: Cells) -> Mask:
     """Cells (M,) at a side of the array where nothing of the cover is beyond it."""
     ends = np.zeros(len(cells.areas), bool)
     if array.beyond is not None:
@@ -153,7 +153,7 @@ def _ends(array: Array, cells: Cells) -> NDArray[np.bool_]:
     return ends
 
 
-def _split(picture: Floats, pressed: NDArray[np.bool_], highest: Floats, least: float, was: Labels) -> Labels:
+def _split(picture: Floats, pressed: Mask, highest: Floats, least: float, was: Labels) -> Labels:
     """Number the pressed squares by contact: basins round the peaks that a dip or a skirt parts; all others 0.
 
     A dip has at least the depth `least`. `was` are the squares' numbers in the image before, 0 for none.
@@ -272,7 +272,7 @@ class Tracker:
         self._tracks.append(track)
         return track
 
-    def _links(self, places: Floats, clear: NDArray[np.bool_], elapsed: float) -> dict[int, _Track]:
+    def _links(self, places: Floats, clear: Mask, elapsed: float) -> dict[int, _Track]:
         """The tracks that these contacts go on, by the contacts' numbers; `elapsed` (s) since the last image."""
         if not len(places) or not self._tracks:
             return {}

@@ -7,8 +7,8 @@ or a reading is so far below zero that it is no pressure.
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactiled.arrays import Flags, Floats32, Mask, Reals
 from tactiled.frames import BELOW_ZERO, MISSING, UNKNOWN
 from tactiled.restore.blur import Blur
 
@@ -18,12 +18,12 @@ MIN_SUM_SHARE = 0.8  # of a region or contact, whose force is then right to 15 %
 KEPT_SHARES = 64  # taxels that never come are the same ones in each frame
 
 
-def is_known(share: NDArray[np.floating] | np.floating | float, summed: bool = False) -> NDArray[np.bool_]:
+def is_known(share: Reals | np.floating | float, summed: bool = False) -> Mask:
     """Whether enough is left (0 ... 1) of a cell, or of one `summed` over cells: a region, a contact."""
     return np.asarray(share) >= (MIN_SUM_SHARE if summed else MIN_CELL_SHARE)
 
 
-def shares(flags: NDArray[np.uint8], blur: Blur) -> NDArray[np.float32] | None:
+def shares(flags: Flags, blur: Blur) -> Floats32 | None:
     """The share of each cell that a frame with these flags has; None where none is lost.
 
     Taxels that are dead or faulty, but not all, are restored from their neighbours: they are lost to no frame.
@@ -35,21 +35,21 @@ def shares(flags: NDArray[np.uint8], blur: Blur) -> NDArray[np.float32] | None:
     return _left(flags, MISSING | BELOW_ZERO, blur)
 
 
-def unknown_cells(flags: NDArray[np.uint8], blur: Blur, share: NDArray[np.float32]) -> NDArray[np.bool_]:
+def unknown_cells(flags: Flags, blur: Blur, share: Floats32) -> Mask:
     """Which cells are unknown, by their `shares`; also those of a wrong zero, as nothing is inferred there."""
     wrong = _left(flags, BELOW_ZERO, blur)
     unknown = ~is_known(share)
     return unknown if wrong is None else unknown | ~is_known(wrong, summed=True)
 
 
-def _left(flags: NDArray[np.uint8], kinds: int, blur: Blur) -> NDArray[np.float32] | None:
+def _left(flags: Flags, kinds: int, blur: Blur) -> Floats32 | None:
     lost = flags & kinds != 0
     return _shares(lost.tobytes(), blur) if lost.any() else None
 
 
 @lru_cache(KEPT_SHARES)
-def _shares(lost: bytes, blur: Blur) -> NDArray[np.float32]:
+def _shares(lost: bytes, blur: Blur) -> Floats32:
     left = 1 - np.frombuffer(lost, np.bool_).reshape(blur.frame_shape).astype(np.float32)
-    share: NDArray[np.float32] = np.clip(blur.adjoint(left) / blur.reach, 0, 1)
+    share: Floats32 = np.clip(blur.adjoint(left) / blur.reach, 0, 1)
     share.flags.writeable = False
     return share

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
+from tactiled.arrays import Floats32
 from tactiled.contacts.felt import is_known
 from tactiled.frames import Image
 from tactiled.geometry import Cells
@@ -109,6 +110,6 @@ class RegionMeter:
         contact = float(areas[pressure > CONTACT_SIGMAS * noise].sum())
         return Measures(force * FORCE_SCALES[image.unit], force / float(areas.sum()), peak, contact)
 
-    def _is_known(self, shares: NDArray[np.float32]) -> bool:
+    def _is_known(self, shares: Floats32) -> bool:
         """Whether enough of the region is left, by the shares of all cells."""
         return bool(is_known(np.average(shares.reshape(-1)[self._cells], weights=self._areas), summed=True))

@@ -6,11 +6,10 @@ from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactiled.arrays import Floats
 from tactiled.files import atomic_write
 
-Floats = NDArray[np.float64]
 Report = Callable[[str], object]
 
 

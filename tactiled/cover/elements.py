@@ -9,19 +9,17 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, solveh_banded
 from skfem import Basis, ElementH1, MeshQuad
 from skfem.refdom import RefQuad
 
+from tactiled.arrays import Floats, Ints
 from tactiled.cover.line import DEGREE, lagrange
 from tactiled.cover.stack import Stack
 from tactiled.errors import PhysicsError
 
 FIXED = -1  # the number of a displacement that is fixed at 0: the last one of an array with a 0 appended
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.intp]
 
 NODES = np.array([(i, j) for i in range(DEGREE + 1) for j in range(DEGREE + 1)])
 SIZE = len(NODES)

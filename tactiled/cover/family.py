@@ -4,14 +4,12 @@ from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import RectBivariateSpline
 
+from tactiled.arrays import Floats
 from tactiled.cover import kernel, layered
 from tactiled.cover.stack import Stack
 from tactiled.errors import PhysicsError
-
-Floats = NDArray[np.float64]
 
 FACTORS = (0.25, 4.0)  # thinnest and thickest cover of a family, over the configured thickness
 # The table is in q times the depth of the sensing plane: G depends almost on that alone, so that it changes slowly

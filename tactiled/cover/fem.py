@@ -10,14 +10,12 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
+from tactiled.arrays import Floats
 from tactiled.cover import elements, line
 from tactiled.cover.stack import Profile, Stack
 from tactiled.errors import PhysicsError
-
-Floats = NDArray[np.float64]
 
 # Chosen on random stacks against the exact gain: `python -m tests.study cover`.
 FLOOR = 1e-3  # the accuracy holds up to where the gain stays under this

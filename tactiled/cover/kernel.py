@@ -7,10 +7,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.fft import fht, fhtoffset
 from scipy.interpolate import CubicSpline
 
+from tactiled.arrays import Floats
 from tactiled.cover import layered
 from tactiled.cover.cache import Report, cached_table
 from tactiled.cover.stack import Profile, Stack
@@ -19,7 +19,6 @@ from tactiled.errors import PhysicsError
 if TYPE_CHECKING:
     from tactiled.cover import fem
 
-Floats = NDArray[np.float64]
 Model = Literal["fem", "layered", "measured"]
 
 TABLE_SIZE = 512  # frequencies of a tabulated gain

@@ -6,12 +6,10 @@ determine the four constants of every layer.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactiled.arrays import Floats
 from tactiled.cover.stack import Layer, Stack
 from tactiled.errors import PhysicsError
-
-Floats = NDArray[np.float64]
 
 NORMAL, SHEAR, ALONG, ACROSS = range(4)  # the rows of a state
 MAX_HEIGHT = 800.0  # over 1/k: e^-MAX_HEIGHT is 0 in double precision

@@ -1,11 +1,10 @@
 """Cubic functions of r on a line of elements: loading it, recovering a stress from its forces, transforming it."""
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solveh_banded
 from scipy.special import j0, j1
 
-Floats = NDArray[np.float64]
+from tactiled.arrays import Floats, Ints
 
 _POINTS, _WEIGHTS = np.polynomial.legendre.leggauss(8)
 X = (_POINTS + 1) / 2
@@ -31,7 +30,7 @@ def points(r: Floats) -> tuple[Floats, Floats]:
     return place, width * _WEIGHTS / 2 * place
 
 
-def _of(r: Floats) -> NDArray[np.intp]:
+def _of(r: Floats) -> Ints:
     """Give the nodes (elements, DEGREE + 1) of every element."""
     return DEGREE * np.arange(len(r) - 1)[:, None] + np.arange(DEGREE + 1)
 
@@ -70,7 +69,7 @@ def hankel(r: Floats, value: Floats, q: Floats) -> Floats:
     return np.concatenate([_octave(r, value, part) for part in np.split(q, _octaves(q))])
 
 
-def _octaves(q: Floats) -> NDArray[np.intp]:
+def _octaves(q: Floats) -> Ints:
     """Give where another octave of the growing q (n,) begins."""
     return np.flatnonzero(np.diff(np.floor(np.log2(np.maximum(q, q[1]) / q[1])))) + 1
 
@@ -89,7 +88,7 @@ def _octave(r: Floats, value: Floats, q: Floats) -> Floats:
     return np.asarray(2 * np.pi * j0(2 * np.pi * q[:, None] * place.ravel()) @ density.ravel())
 
 
-def standing(n: NDArray[np.intp]) -> Floats:
+def standing(n: Ints) -> Floats:
     """Give the n-th positive zeros of J1, by McMahon's expansion and Newton's method."""
     b = (n + 0.25) * np.pi
     x = b - 3 / (8 * b)

@@ -10,15 +10,13 @@ from pathlib import Path
 
 import numpy as np
 import scipy
-from numpy.typing import NDArray
 from scipy.interpolate import RectBivariateSpline
 from scipy.special import j1
 
+from tactiled.arrays import Floats
 from tactiled.cover.cache import cached_table
 from tactiled.cover.kernel import Kernel
 from tactiled.geometry import Array, Cells
-
-Floats = NDArray[np.float64]
 
 BAND_RATIO = 4.0  # of neighbouring bands' cut-offs
 GAUSSIAN_END = 4.6  # where exp(-x^2) is as good as 0 (1e-9)

@@ -3,14 +3,12 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactiled.arrays import Floats
 from tactiled.cover.kernel import Kernel
 from tactiled.cover.operator import aperture_mean
 from tactiled.errors import PhysicsError
 from tactiled.geometry import Array
-
-Floats = NDArray[np.float64]
 
 VISIBLE_SIGMAS = 3.0  # noise standard deviations: a dip this deep survives
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammainccinv, ndtri
 
+from tactiled.arrays import Flags, Floats, Floats32, Ints, Mask
 from tactiled.diagnostics.warning_codes import WarningCode, warning
 from tactiled.frames import FrameWarning
 from tactiled.restore.blur import Blur
@@ -36,9 +37,7 @@ EXCESS_SIGMAS = 4.0  # by which an image is stronger than its frame if its force
 EXCESS_RATIO = 0.02  # of its strength: one of these sigmas, however faint the noise
 EDGE_RATIO = 1.5  # of the highest pressure at the rim to the highest inside
 
-Floats = NDArray[np.float32]
-Flags = NDArray[np.uint8]
-Predict = Callable[[], Floats]
+Predict = Callable[[], Floats32]
 
 
 class FrameChecks:
@@ -62,9 +61,9 @@ class FrameChecks:
 
     def __call__(
         self,
-        raw: Floats,
+        raw: Floats32,
         flags: Flags,
-        image: Floats,
+        image: Floats32,
         noise: float,
         method: str = "",
         predict: Predict | None = None,
@@ -79,9 +78,9 @@ class FrameChecks:
 
     def check(
         self,
-        raw: Floats,
+        raw: Floats32,
         flags: Flags,
-        image: Floats,
+        image: Floats32,
         noise: float,
         method: str = "",
         predict: Predict | None = None,
@@ -119,7 +118,7 @@ class FrameChecks:
             codes.append("edge")
         return tuple(codes)
 
-    def _negative(self, pressure: Floats, zeroed: Floats, sound: NDArray[np.bool_], noise: float) -> bool:
+    def _negative(self, pressure: Floats32, zeroed: Floats32, sound: Mask, noise: float) -> bool:
         """Whether one taxel, a part of the array or all together lie further below zero than noise does."""
         if float(pressure.min()) < -BELOW_ZERO * float(np.hypot(noise, MODEL_ERROR * np.abs(pressure).max())):
             return True
@@ -130,14 +129,14 @@ class FrameChecks:
         below = np.minimum(pressure, 0)
         return float(np.dot(below, below)) > self._max_below * noise**2
 
-    def _even_offset(self, image: Floats, noise: float) -> bool:
+    def _even_offset(self, image: Floats32, noise: float) -> bool:
         """Whether every part of the image is pressed, and a quarter of the parts alike."""
         means = np.sort(self._cells.sums(image) / self._cells.counts, axis=None)
         lowest, quarter = float(means[0]), float(means[(means.size - 1) // 4])
         certain = -_lowest_sigmas(1) * noise / float(np.sqrt(self._parts.counts.min()))
         return lowest > max(certain, MIN_OFFSET * float(image.max())) and quarter < EVEN_RATIO * lowest
 
-    def _moved_offset(self, completed: Floats, predicted: Floats, noise: float) -> bool:
+    def _moved_offset(self, completed: Floats32, predicted: Floats32, noise: float) -> bool:
         """Whether the image is stronger than its frame, and no quarter of the frame's parts is free.
 
         Restoration keeps total force: it moves an offset that noise hides in each cell onto the contacts. The
@@ -152,14 +151,14 @@ class FrameChecks:
         certain = -_lowest_sigmas(1) * noise / float(np.sqrt(self._parts.counts.mean() * quarter.size))
         return float(quarter.mean()) > certain
 
-    def _noise_low(self, completed: Floats, noise: float) -> bool:
+    def _noise_low(self, completed: Floats32, noise: float) -> bool:
         """Whether the weakest modes hold less than half the noise; unknown where noise is only rounding."""
         if self._weak is None or noise <= NOISE_RATIO * self._floor:
             return False
         weakest = self._to_modes(completed, self._to_modes.empty()).reshape(-1)[self._weak]
         return float(np.dot(weakest, weakest)) < (noise / NOISE_RATIO) ** 2 * weakest.size
 
-    def _over_the_edge(self, image: Floats) -> bool:
+    def _over_the_edge(self, image: Floats32) -> bool:
         return float(image[self._rim].max()) > EDGE_RATIO * float(image[~self._rim].max())
 
 
@@ -171,7 +170,7 @@ class _Parts:
         self._first = [np.linspace(0, n, min(n, parts), endpoint=False).astype(int) for n in shape]
         self.counts = self.sums(np.ones(shape, np.float32))
 
-    def sums(self, values: NDArray[Any]) -> NDArray[np.float64]:
+    def sums(self, values: NDArray[Any]) -> Floats:
         """Sum over each part."""
         summed = np.asarray(values, float)
         for axis, first in enumerate(self._first):
@@ -193,13 +192,13 @@ def _max_below(size: int) -> float:
     return max(2.5 * float(gammainccinv(size / 5, FALSE_ALARM)), size * NOISE_RATIO**2 / 4)
 
 
-def _weakest(gain: NDArray[np.float64]) -> NDArray[np.intp] | None:
+def _weakest(gain: Floats) -> Ints | None:
     """Which modes the cover weakens most; None where they are too few to tell half the noise from all of it."""
     count = max(WEAK_MODES, gain.size // WEAK_MODES_PER)
     return np.argsort(gain, axis=None)[:count] if count <= gain.size // 2 else None
 
 
-def _residual(ratios: Floats) -> list[WarningCode]:
+def _residual(ratios: Floats32) -> list[WarningCode]:
     """What a residual shows, as ratios to the expected one."""
     outliers = int(np.count_nonzero(ratios > MAX_RESIDUAL))
     if outliers > MAX_OUTLIERS or float(np.sqrt(np.mean(np.square(ratios)))) > MAX_RESIDUAL_RMS:

@@ -1,8 +1,8 @@
 """The thickest cover that explains a frame which the configured one, being too thick, does not."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactiled.arrays import Reals
 from tactiled.calibrate.deblur import Convolution, Images, Precision, deblurred
 from tactiled.cover.family import CoverFamily
 from tactiled.diagnostics.checks import MODEL_ERROR
@@ -16,9 +16,7 @@ THINNER = 0.85  # of the configured thickness, at most: one frame does not know 
 MAX_FAULTY = 3  # taxels, those that fit worst: with more of them left out, thin covers' small discs are explained
 
 
-def fitting_thickness(
-    frame: NDArray[np.floating], noise_kpa: float, family: CoverFamily, array: Array
-) -> float | None:
+def fitting_thickness(frame: Reals, noise_kpa: float, family: CoverFamily, array: Array) -> float | None:
     """Thickness (mm) of the thickest cover that explains a grid's frame (kPa, NaN where unknown).
 
     None where the configured cover explains it, or does but for at most MAX_FAULTY taxels, or where no cover does:

@@ -5,8 +5,8 @@ from collections.abc import Iterator, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactiled.arrays import Floats32, Ints
 from tactiled.build import configured_file, make_array, make_calibration, make_codec
 from tactiled.bus.arrivals import decoded
 from tactiled.bus.assembler import RESTART_S
@@ -170,7 +170,7 @@ def _frames(
         yield Finding(f"{place}.calibration.dead", str(list(calibration.dead)), reason)
 
 
-def _other_grid(place: str, sensor: schema.Sensor, counts: NDArray[np.float32]) -> Finding | None:
+def _other_grid(place: str, sensor: schema.Sensor, counts: Floats32) -> Finding | None:
     """Whether what presses on a grid shows other rows and columns."""
     shape = make_array(sensor).shape
     if shape is None or 1 in shape or not (shapes := alike_shapes(counts, [counts.shape[1]])) or shape in shapes:
@@ -181,7 +181,7 @@ def _other_grid(place: str, sensor: schema.Sensor, counts: NDArray[np.float32]) 
     return Finding(f"{place}.array", f"{shape[0]} x {shape[1]}", f"{reason}{swapped}")
 
 
-def _stuck(counts: NDArray[np.float32], level: NDArray[np.float32], rest: float, codec: Codec) -> NDArray[np.intp]:
+def _stuck(counts: Floats32, level: Floats32, rest: float, codec: Codec) -> Ints:
     """Taxels that never change where the others have noise, or at an end of the scale; `level` NaN: left out."""
     still = (np.ptp(counts, axis=0) == 0) & np.isfinite(level)
     if float(np.median(counts.std(axis=0))) >= 1:

@@ -7,8 +7,8 @@ from multiprocessing.connection import Connection
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactiled.arrays import Flags, Floats32
 from tactiled.build import SensorPlan
 from tactiled.calibrate.blind import MAX_GAIN_ERROR, Profiles, add_contacts
 from tactiled.calibrate.contact_frames import CLEAR, MAX_NEAR_FRAMES
@@ -37,7 +37,7 @@ class Steep(NamedTuple):
     """The steepest moment of a contact."""
 
     steepness: float  # largest step between neighbours over the peak
-    frames: list[NDArray[np.float32]]  # over the zero and the noise, NaN where unknown
+    frames: list[Floats32]  # over the zero and the noise, NaN where unknown
     place: int  # of the moment in these
     zero_variance: float  # over the noise's
 
@@ -61,14 +61,14 @@ class CoverMonitor:
         """Forget every contact: their zeros no longer hold."""
         self._resets += 1
         self._before = np.zeros(self._plan.array.frame_shape, np.float32)
-        self._near: list[NDArray[np.float32]] = []  # of the present contact; replaced, never changed, as _waiting
+        self._near: list[Floats32] = []  # of the present contact; replaced, never changed, as _waiting
         self._zero, self._zero_frames = np.zeros_like(self._before), 0
         self._best: Steep | None = None
         self._waiting: list[Steep] = []
         self._profiles: Profiles | None = None
         self.warning: tuple[FrameWarning, ...] = ()
 
-    def push(self, raw: NDArray[np.float32], flags: NDArray[np.uint8], noise_kpa: float) -> None:
+    def push(self, raw: Floats32, flags: Flags, noise_kpa: float) -> None:
         """Take a frame in kPa. A lift or a new shape ends a contact; its steepest frame then waits."""
         self._frames += 1
         if not self._judges or self._frames % EVERY_FRAMES or (flags & SATURATED).any():

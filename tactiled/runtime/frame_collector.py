@@ -1,8 +1,8 @@
 """Frames of one sensor in counts, collected as they come, with bounded memory."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactiled.arrays import Floats32
 from tactiled.calibrate.frame_series import FrameSeries
 from tactiled.frames import BAD, MISSING, RawFrame
 
@@ -17,7 +17,7 @@ class FrameCollector:
         self.max_s, self._taxels = max_s, taxels
         self._period_s = max_s * 4 * taxels / max_bytes  # frames that come closer together do not fit
         self._times: list[float] = []
-        self._counts: list[NDArray[np.float32]] = []  # (N,) each
+        self._counts: list[Floats32] = []  # (N,) each
 
     def __len__(self) -> int:
         """Number of frames."""

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactiled.arrays import Floats
 from tactiled.build import SensorPlan, make_blur
 from tactiled.calibrate.calibration_file import CalibrationFile
 from tactiled.calibrate.curves import Curves
@@ -28,7 +28,6 @@ if TYPE_CHECKING:
 GainWay = Literal["uniform", "weight"]
 MarkKey = Literal["pressure_kpa", "weight_n"]
 MARKS: dict[GainWay, tuple[MarkKey, str]] = {"uniform": ("pressure_kpa", "kPa"), "weight": ("weight_n", "N")}
-Floats = NDArray[np.float64]
 MIN_STEPS = 3  # pressures, 0 among them
 MAX_DRIFT_SHARE = 0.02  # of a load: largest change within the second that is taken
 MIN_MARK_FRAMES = 10  # from as many a gain's fit first guesses no load

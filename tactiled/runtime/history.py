@@ -6,6 +6,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from tactiled.arrays import Flags, Floats, Floats32
 from tactiled.frames import Image
 from tactiled.units import COUNTS, PRESSURE, Unit
 
@@ -18,10 +19,10 @@ class Page(NamedTuple):
     """Consecutive images, oldest first."""
 
     sequence: NDArray[np.int64]  # (T,); lost frames leave gaps
-    time: NDArray[np.float64]  # (T,) s, of the frame's first message
+    time: Floats  # (T,) s, of the frame's first message
     method: tuple[str, ...]  # T, that restored each
-    values: NDArray[np.float32]  # (T, *image) in `unit`; of shear (T, 2, *raw image) counts
-    flags: NDArray[np.uint8]  # (T, *raw image)
+    values: Floats32  # (T, *image) in `unit`; of shear (T, 2, *raw image) counts
+    flags: Flags  # (T, *raw image)
     older: bool  # whether the window has images before these
     since: float  # s, where the window begins, by arrival; whole microseconds
     cut: bool  # whether images at the window's beginning may have been overwritten, or are in another unit

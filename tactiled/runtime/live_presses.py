@@ -1,8 +1,8 @@
 """Presses in frames that still come: each frame is looked at a few times, not at every look."""
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactiled.arrays import Floats32, Mask
 from tactiled.calibrate.frame_series import FrameSeries
 from tactiled.calibrate.presses import MAX_UNLOADED_FRAMES, SETTLING_FRAMES, SMOOTHED_FRAMES, Press, find_presses
 from tactiled.errors import ConfigError
@@ -16,7 +16,7 @@ FREE_FRAMES = 2 * MAX_UNLOADED_FRAMES  # without a press that a look has room fo
 RAMP_FRAMES = SETTLING_FRAMES + SMOOTHED_FRAMES  # behind a plateau, that belong to its press still
 
 
-def pressures(sensor: Sensor, series: FrameSeries) -> tuple[NDArray[np.float32], NDArray[np.bool_]]:
+def pressures(sensor: Sensor, series: FrameSeries) -> tuple[Floats32, Mask]:
     """A series' pressure (T, N) in kPa, NaN: unknown, as the sensor is calibrated now, and what is saturated."""
     missing = np.where(np.isnan(series.counts), MISSING, 0).astype(np.uint8)
     pressure, flags = sensor.pipeline.calibrator.series(np.nan_to_num(series.counts), missing)

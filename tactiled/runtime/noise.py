@@ -6,8 +6,8 @@ from itertools import islice
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactiled.arrays import Floats32
 from tactiled.build import SensorPlan
 from tactiled.bus.codec import Codec
 from tactiled.bus.router import Router
@@ -41,7 +41,7 @@ class Noise:
             before is not None and before.settled
         )  # not of rounding
         self._fixed = self._configured is not None  # by which others are judged
-        self._frames: list[NDArray[np.float32]] = []
+        self._frames: list[Floats32] = []
         self._pause = 0  # frames until frames are taken again
 
     def settle(self, kpa: float) -> None:
@@ -49,7 +49,7 @@ class Noise:
         if self._configured is None:
             self.kpa, self.settled, self._fixed = kpa, True, True
 
-    def add(self, raw: NDArray[np.float32]) -> None:
+    def add(self, raw: Floats32) -> None:
         """Take one more frame."""
         if self._pause:
             self._pause -= 1
@@ -82,9 +82,7 @@ def _has_data(frame: RawFrame) -> bool:
     return bool((frame.flags & UNKNOWN == 0).any())
 
 
-def recorded_noise(
-    plan: SensorPlan, with_data: Iterable[RawFrame], zero: NDArray[np.float32] | None = None
-) -> float:
+def recorded_noise(plan: SensorPlan, with_data: Iterable[RawFrame], zero: Floats32 | None = None) -> float:
     """Standard deviation of a taxel, in the unit of `plan`: as configured, else of a recording's first frames.
 
     These are those with data; `zero` is a tare's counts.

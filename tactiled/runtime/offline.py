@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from tactiled.arrays import Flags, Floats32
 from tactiled.build import SensorPlan
 from tactiled.chain import Chain
 from tactiled.errors import ConfigError
@@ -61,7 +62,7 @@ def open_frames(path: Path, plan: SensorPlan) -> Frames:
 
 def _read_csv(path: Path, plan: SensorPlan) -> Frames:
     """Frames (T, *taxels), a line each; an empty field is unknown, a first line of names is left out."""
-    frames: list[NDArray[np.float32]] = []
+    frames: list[Floats32] = []
     try:
         with path.open(newline="", encoding="utf-8-sig") as file:
             for number, fields in enumerate(csv.reader(file), 1):
@@ -132,12 +133,12 @@ class Offline:
         self._chain.restorer(method)  # refuses another noise or method before the first frame
         calibrator, shape = self._chain.calibrator, plan.array.frame_shape
         self._dead = np.where(calibrator.dead, np.uint8(DEAD), np.uint8(0)).reshape(shape)
-        self._ceiling_kpa: float | NDArray[np.float32] = np.inf
+        self._ceiling_kpa: float | Floats32 = np.inf
         if plan.calibration.saturation is not None:  # less half a count: pressures were rounded on their way here
             ceiling = calibrator.pressure(np.full(plan.array.size, plan.calibration.saturation))
             self._ceiling_kpa = (ceiling - gain / 2).reshape(shape)
 
-    def __iter__(self) -> Iterator[tuple[NDArray[np.float32], list[FrameInfo]]]:
+    def __iter__(self) -> Iterator[tuple[Floats32, list[FrameInfo]]]:
         """Restore in pieces: images (up to PIECE_FRAMES, *surface), valid until the next."""
         images = np.empty((min(PIECE_FRAMES, self.shape[0]), *self.shape[1:]), np.float32)
         for start in range(0, len(self._frames), PIECE_FRAMES):
@@ -164,9 +165,7 @@ class Offline:
                 file.write(np.ascontiguousarray(images, "<f4").data)
         return methods
 
-    def _restore(
-        self, pressure: NDArray[np.float32], flags: NDArray[np.uint8], out: NDArray[np.float32]
-    ) -> FrameInfo:
+    def _restore(self, pressure: Floats32, flags: Flags, out: Floats32) -> FrameInfo:
         self._go_on()
         began = perf_counter()
         done = self._chain.restore(pressure, flags, self._method)

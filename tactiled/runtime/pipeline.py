@@ -7,8 +7,8 @@ from operator import call
 from time import monotonic, thread_time
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactiled.arrays import Flags, Floats, Floats32
 from tactiled.build import SensorPlan
 from tactiled.calibrate.monitor import SkinMonitor
 from tactiled.calibrate.tare import Zero, blocks, load_description, own_noise, robust_mean
@@ -49,7 +49,7 @@ class Pipeline:
         self.zero = Zero(self.calibrator.no_load, self._chain.shear_zero)  # of the unloaded array
         self._zero_before: Zero | None = None  # the last tare
         self._highest = 0.0  # reading since this zero
-        self._recent: tuple[NDArray[np.float32], ...] = ()  # raw images since the last tare, or break
+        self._recent: tuple[Floats32, ...] = ()  # raw images since the last tare, or break
         self.tared = self.lapsed = self.refused = 0  # times that a tare was done, given up, or met a load
         self.load_in_tare = ""  # in words: what the last refused tare met
         self._thickness = ThicknessSearch(plan, start)
@@ -121,7 +121,7 @@ class Pipeline:
         tared = zero.time is not None and zero.time >= self._plan.no_load_time
         return zero if tared else replace(self.zero, shear=zero.shear)
 
-    def forces(self, frame: RawFrame) -> NDArray[np.float64] | None:
+    def forces(self, frame: RawFrame) -> Floats | None:
         """Force (N, 3) in N on each taxel, along x and y and into the skin, as sensed; None unless all are known.
 
         They are unknown where shear has no scale or has not been tared, or where a taxel does not work; of a
@@ -136,7 +136,7 @@ class Pipeline:
         return forces if np.isfinite(forces).all() else None
 
     @cached_property
-    def _areas(self) -> NDArray[np.float64]:
+    def _areas(self) -> Floats:
         """(N,) mm^2 of the surface that each taxel stands for."""
         return tiling(self._plan.array).areas
 
@@ -172,9 +172,7 @@ class Pipeline:
         microseconds = (checked - began) * 1e6
         return chain.image(frame, raw, flags, done, microseconds=microseconds, warnings=warnings, times=times)
 
-    def _check(
-        self, raw: NDArray[np.float32], flags: NDArray[np.uint8], done: Restored, budget_s: float
-    ) -> tuple[FrameWarning, ...]:
+    def _check(self, raw: Floats32, flags: Flags, done: Restored, budget_s: float) -> tuple[FrameWarning, ...]:
         """Warnings of an image."""
         doubtful = self._chain.doubtful(flags)
         checked = self._chain.warnings(raw, doubtful, done)
@@ -201,7 +199,7 @@ class Pipeline:
         self.set_zero(Zero(counts, shear, self._tare_frames.time))
         self.tared += 1
 
-    def _load_during(self, counts: NDArray[np.float32]) -> str:
+    def _load_during(self, counts: Floats32) -> str:
         """A load in frames (T, N) of a tare, in words, or readings that move; "" for neither."""
         pressure, noise = self.calibrator.pressure(counts), self.noise.kpa
         if not self.noise.settled:

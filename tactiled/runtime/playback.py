@@ -10,8 +10,8 @@ from time import perf_counter
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactiled.arrays import Flags, Floats, Floats32
 from tactiled.build import SensorPlan
 from tactiled.calibrate.tare import Zero, below_zero
 from tactiled.chain import Chain, flag_warnings
@@ -35,8 +35,8 @@ MAX_POINTS = 600  # of an overview: a point for each pixel or two of a chart
 class Overview(NamedTuple):
     """Force on the raw images over a recording: of each piece of it the frames with the lowest and highest sum."""
 
-    position_s: NDArray[np.float64]  # (P,), ascending
-    force: NDArray[np.float64]  # (P,) N, or counts mm^2
+    position_s: Floats  # (P,), ascending
+    force: Floats  # (P,) N, or counts mm^2
 
 
 def noise_frames(plan: SensorPlan, recorded: FrameFiles, count: int) -> tuple[int, ...]:
@@ -56,7 +56,7 @@ class Playback:
     def __init__(self, plan: SensorPlan, zero: Zero, recorded: FrameFiles, noise_frames: Sequence[int]) -> None:
         """There must be a frame; the noise is measured from those of `noise_frames` unless it is configured."""
         self.plan, self.zero, self._recorded = plan, zero, recorded
-        self._past: dict[int, NDArray[np.float32]] = {}  # of the hysteresis, before some frames
+        self._past: dict[int, Floats32] = {}  # of the hysteresis, before some frames
         self._next = 0  # frame that the hysteresis takes next
         tared = zero.time is not None and zero.time <= recorded.heads(plan.name, 0, 1)["time"][0]
         self.tared_at = zero.time if tared else None
@@ -71,7 +71,7 @@ class Playback:
         self._overview, self._overview_frames = Overview(np.empty(0), np.empty(0)), 0
         self._overview_numbers, self._overview_highest = np.empty(0, int), np.empty(0)  # frames, their readings
 
-    def _pressure(self, number: int, frame: RawFrame) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+    def _pressure(self, number: int, frame: RawFrame) -> tuple[Floats32, Flags]:
         self._follow(number, frame)
         return self._chain.pressure(frame)
 

@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from tactiled.arrays import Floats, Floats32
 from tactiled.build import SensorPlan
 from tactiled.calibrate.tare import Zero
 from tactiled.contacts.regions import Measures, Region, RegionMeter
@@ -71,11 +72,11 @@ def write_measures(job: SeriesJob, target: SharedFile) -> None:
 class Summary(NamedTuple):
     """A series in P pieces; K counts the array and its regions, 4 the fields of Measures. NaN: not known."""
 
-    position_s: NDArray[np.float64]  # (P,) at which a piece begins
-    values: NDArray[np.float32]  # (P, K, 4) the highest of each piece
-    highest: NDArray[np.float32]  # (K, 4) of the recording
+    position_s: Floats  # (P,) at which a piece begins
+    values: Floats32  # (P, K, 4) the highest of each piece
+    highest: Floats32  # (K, 4) of the recording
     number: NDArray[np.int64]  # (K, 4) of the first frame that has it
-    highest_s: NDArray[np.float64]  # (K, 4) its position
+    highest_s: Floats  # (K, 4) its position
 
 
 class RecordedSeries:

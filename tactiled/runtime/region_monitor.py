@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from tactiled.arrays import Floats, Floats32
 from tactiled.contacts.detection import BEGIN_SIGMAS
 from tactiled.contacts.regions import NOT_KNOWN, TOTAL, Measures, Region, RegionMeter
 from tactiled.frames import MISSING, Image
@@ -48,8 +49,8 @@ class Summary:
 class Series(NamedTuple):
     """Values of a region in T images."""
 
-    time: NDArray[np.float64]  # (T,) s
-    values: NDArray[np.float32]  # (T, 4) fields of Measures; NaN: not known
+    time: Floats  # (T,) s
+    values: Floats32  # (T, 4) fields of Measures; NaN: not known
     missing: NDArray[np.int64]  # (T,) taxels of the array that did not arrive
     unit: Unit
 

@@ -9,8 +9,8 @@ from math import inf, sqrt
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactiled.arrays import Floats32
 from tactiled.build import SensorPlan
 from tactiled.calibrate.calibration_file import CalibrationFile
 from tactiled.calibrate.tare import Zero
@@ -127,7 +127,7 @@ class Sensor:
             return None
         return [None if np.isnan(each) else float(each) for each in self.newest.references]
 
-    def deviation(self, image: Image) -> NDArray[np.float32]:
+    def deviation(self, image: Image) -> Floats32:
         """Standard deviation of every cell of the newest restored image, in its unit."""
         return self.pipeline.deviation(image)
 

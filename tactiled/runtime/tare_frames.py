@@ -3,8 +3,8 @@
 from threading import Lock
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactiled.arrays import Floats32
 from tactiled.frames import UNKNOWN, RawFrame
 
 TARE_FRAMES = 16  # that a tare takes at least
@@ -17,7 +17,7 @@ class TareFrames:
 
     def __init__(self) -> None:
         self._lock = Lock()
-        self._frames: list[NDArray[np.float32]] | None = None  # (1 or 3, N) each; None: none under way
+        self._frames: list[Floats32] | None = None  # (1 or 3, N) each; None: none under way
         self._first_at = 0.0  # s, when the first frame came
         self.time, self.force = 0.0, False  # of the tare under way, or the last
 
@@ -37,7 +37,7 @@ class TareFrames:
             under_way, self._frames = self._frames is not None, None
         return under_way
 
-    def add(self, frame: RawFrame) -> NDArray[np.float32] | None:
+    def add(self, frame: RawFrame) -> Floats32 | None:
         """All frames (T, 1, N) of counts, or (T, 3, N) with shear along x and y, once enough; NaN: unknown."""
         with self._lock:
             if self._frames is None or (frame.flags & UNKNOWN).all():

@@ -3,8 +3,8 @@
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactiled.arrays import Flags, Floats32
 from tactiled.build import SensorPlan
 from tactiled.cover.family import CoverFamily
 from tactiled.diagnostics.cover_thickness import fitting_thickness
@@ -28,8 +28,8 @@ class ThicknessSearch:
     def __call__(
         self,
         warnings: tuple[FrameWarning, ...],
-        raw: NDArray[np.float32],
-        flags: NDArray[np.uint8],
+        raw: Floats32,
+        flags: Flags,
         noise_kpa: float,
     ) -> tuple[FrameWarning, ...]:
         """The warnings of a frame: what a thinner cover explains is `cover_mismatch`, with that thickness."""
@@ -47,7 +47,7 @@ class ThicknessSearch:
             return warnings
         return (*others, cover_warning(self._thickness_mm, self._plan.kernel.stack.depth))
 
-    def _search(self, frame: NDArray[np.float32], noise_kpa: float) -> None:
+    def _search(self, frame: Floats32, noise_kpa: float) -> None:
         self._thickness_mm, self._searching, self._pause = None, True, PAUSE_FRAMES
 
         def search() -> None:

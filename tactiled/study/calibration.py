@@ -12,9 +12,9 @@ from time import perf_counter
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from rich.progress import track
 
+from tactiled.arrays import Flags, Floats, Floats32, Reals
 from tactiled.build import make_blur
 from tactiled.calibrate.blind import fit_blind
 from tactiled.calibrate.cover_fit import CoverFit
@@ -46,7 +46,7 @@ from tactiled.study.presses import (
     uniform_series,
 )
 from tactiled.study.results import write_csv
-from tactiled.study.scenes import TEST_SCENES, Floats
+from tactiled.study.scenes import TEST_SCENES
 from tactiled.study.skin import draw, make_skin, nrmse, rms, sense, touches
 
 PITCH_MM, APERTURE = 1.0, 0.8
@@ -140,7 +140,7 @@ class Calibrated(NamedTuple):
     truth: Truth
     gain: GainFit
 
-    def pressure(self, series: FrameSeries) -> NDArray[np.float32]:
+    def pressure(self, series: FrameSeries) -> Floats32:
         """Frames in kPa (T, N), NaN where a taxel is dead."""
         kpa = self.gain.curves.pressure(series.counts - self.gain.no_load.astype(np.float32))
         kpa[:, list(self.gain.dead)] = np.nan
@@ -229,7 +229,7 @@ def restored(skin: Calibrated, fit: CoverFit, random: np.random.Generator) -> It
         if touches(cells):
             series = truth.skin.series(clean.reshape(1, -1), np.zeros(1), random)
             over = series.counts - truth.skin.no_load
-            frames: tuple[NDArray[np.floating], ...] = (
+            frames: tuple[Reals, ...] = (
                 over * KPA_PER_COUNT,
                 np.nan_to_num(skin.pressure(series)),
                 over * truth.skin.kpa_per_count,
@@ -241,7 +241,7 @@ def restored(skin: Calibrated, fit: CoverFit, random: np.random.Generator) -> It
             yield Restored(scene, *errors)
 
 
-def _restore(blur: Blur, frame: NDArray[np.floating], flags: NDArray[np.uint8]) -> NDArray[np.float32]:
+def _restore(blur: Blur, frame: Reals, flags: Flags) -> Floats32:
     return make("auto", blur, NOISE_KPA)(frame.astype(np.float32), flags).image
 
 

@@ -6,13 +6,13 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, map_coordinates
 
+from tactiled.arrays import Flags, Floats, Mask
 from tactiled.frames import DEAD, MISSING, SATURATED
 from tactiled.runtime.noise import NOISE_FRAMES
 from tactiled.simulate.array import FINER
-from tactiled.study.scenes import PEAK_KPA, Floats, smooth_step
+from tactiled.study.scenes import PEAK_KPA, smooth_step
 from tactiled.study.skin import Frames, Skin, doubled, draw, misconfigured, sense, touches, with_thickness
 
 NOISE = 1.0  # % of the frame's peak, where noise is not the fault
@@ -45,7 +45,7 @@ class Case:
     frame: Frames
     noise: float  # kPa, as configured
     random: np.random.Generator  # for the fault
-    flags: NDArray[np.uint8]
+    flags: Flags
     floor: float = 0.0  # kPa, the part of the noise that rounding causes
     before: Frames | tuple[()] = ()  # frames (T, ...) that a method restores before this one
     still: Frames | None = None  # frames (T, ...) from which the service measures the noise
@@ -125,7 +125,7 @@ def _misjudged(case: Case, value: float) -> Case:
     return replace(case, noise=case.noise / value, still=still.astype(np.float32))
 
 
-def _blank(case: Case, missing: NDArray[np.bool_], flag: int) -> Case:
+def _blank(case: Case, missing: Mask, flag: int) -> Case:
     """Set taxels to 0, and flag them."""
     flags = np.where(missing, flag, 0).astype(np.uint8)
     return replace(case, frame=np.where(missing, np.float32(0), case.frame), flags=flags)

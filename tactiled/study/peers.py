@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from skimage import restoration
 
-from tactiled.study.scenes import Floats
+from tactiled.arrays import Floats
 from tactiled.study.skin import Frames
 
 Restore = Callable[[Frames], Any]

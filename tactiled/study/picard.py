@@ -6,8 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
+from tactiled.arrays import Floats
 from tactiled.study.charts import BLUE, COLOURS, GREEN, RED, WORSE_COLOUR, figure
-from tactiled.study.scenes import TEST_SCENES, Floats
+from tactiled.study.scenes import TEST_SCENES
 from tactiled.study.skin import Skin, draw, into, rubber, sense, touches
 
 SCENE = "punches"

@@ -8,9 +8,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import j1
 
+from tactiled.arrays import Floats, Ints
 from tactiled.calibrate.frame_series import FrameSeries
 from tactiled.cover.kernel import Kernel, solve
 from tactiled.cover.operator import aperture_mean
@@ -19,7 +19,6 @@ from tactiled.geometry import Array
 from tactiled.simulate.array import Surface
 from tactiled.simulate.playback import SCENE_S, TOUR
 from tactiled.simulate.scenes import SCENES
-from tactiled.study.scenes import Floats
 
 PERIOD_MM = 64.0  # after which the waves repeat: readings of 16 x 16 are those of twice as long to 1e-8
 EDGE_WAVES = 16  # as many more for an edge, which is one-dimensional
@@ -40,7 +39,7 @@ class SimulatedSkin:
     cover: Kernel  # the true one
     kpa_per_count: Floats  # (N,)
     no_load: Floats  # (N,) counts
-    dead: NDArray[np.intp]  # taxels
+    dead: Ints  # taxels
     noise_kpa: float  # standard deviation of one taxel
     drift_kpa_s: Floats  # (N,) kPa a second
 

@@ -3,11 +3,10 @@
 from collections.abc import Callable, Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactiled.arrays import Floats
 from tactiled.simulate.array import FINER
 
-Floats = NDArray[np.float64]
 Draw = Callable[[Floats, Floats, np.random.Generator], Floats]  # x, y in pitches from the middle -> kPa
 
 PEAK_KPA = 100.0

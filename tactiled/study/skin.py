@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tactiled.arrays import Floats, Floats32
 from tactiled.build import make_array, make_blur, make_stack
 from tactiled.config import load
 from tactiled.cover.kernel import cached, solve
@@ -17,9 +18,9 @@ from tactiled.errors import ConfigError
 from tactiled.geometry import Array, grid
 from tactiled.restore.blur import Blur
 from tactiled.simulate.array import FINER, Surface
-from tactiled.study.scenes import PEAK_KPA, TEST_SCENES, Floats
+from tactiled.study.scenes import PEAK_KPA, TEST_SCENES
 
-Frames = NDArray[np.float32]
+Frames = Floats32
 
 APERTURE = 0.8  # of the pitch
 TOUCH_KPA = 0.01 * PEAK_KPA  # lowest pressure on a cell that counts as contact

@@ -9,12 +9,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.image import AxesImage
 
+from tactiled.arrays import Floats
 from tactiled.cover.fem import FLOOR
 from tactiled.cover.kernel import Kernel
 from tactiled.study.charts import COLOURS, FREQUENCY, MARKS
 from tactiled.study.paper import models
 from tactiled.study.paper.models import covered
-from tactiled.study.scenes import Floats
 
 Q = np.linspace(0, 6, 301)  # cycles/mm
 SPACING = 20  # points of a line between marks

@@ -8,11 +8,11 @@ import numpy as np
 from scipy.signal import fftconvolve
 from scipy.special import spherical_jn
 
+from tactiled.arrays import Floats
 from tactiled.cover.kernel import Kernel, solve
 from tactiled.cover.operator import matrix, stencil
 from tactiled.cover.stack import Layer, Stack
 from tactiled.geometry import Array, grid
-from tactiled.study.scenes import Floats
 
 Model = Literal["layered", "fem"]
 MODELS: tuple[Model, Model] = ("layered", "fem")  # exact, and by finite elements
