@@ -38,7 +38,7 @@ static int redraw_image(int inputs, int filters, long rows, long columns, const 
     block->scale[f % BLOCK] = scales[f], block->offset[f % BLOCK] = offsets[f];
     for (long k = 0; k < SHIFTS; k++) block->draw[f % BLOCK][k] = draw[k * filters + f];
   }
-  const int width = vector_width(at.cells);
+  const int width = vector_width(at.cells / 2);
   AT_WIDTH(width, maps, at, inputs, filters, padded, fixed, blocks, ordered, maps);
   for (long k = 0; k < SHIFTS; k++)
     for (long row = 0; row < rows; row++) maps[k * at.padded + at.margin + row * line + columns] = 0;

@@ -29,3 +29,6 @@ def keep_total(
     most: float,
     passes: int,
 ) -> None: ...
+def part_sums(
+    x: _Array, rows: NDArray[np.int64], columns: NDArray[np.int64], out: NDArray[np.float64]
+) -> None: ...

@@ -24,7 +24,8 @@ def calibrate(
     `added`: (N,). ValueError where shapes do not fit.
     """
     cdef long T = counts.shape[0], N = counts.shape[1], t, i
-    cdef unsigned char flag
+    cdef unsigned char seen
+    cdef bint full
     if not (
         flags.shape[0] == pressure.shape[0] == out.shape[0] == T and flags.shape[1] == pressure.shape[1] == N
         and out.shape[1] == states.shape[0] == zero.shape[0] == gain.shape[0] == added.shape[0] == N
@@ -32,15 +33,21 @@ def calibrate(
         raise ValueError("calibrate: shapes do not fit")
     with nogil:
         for t in range(T):
+            seen = 0
+            for i in range(N):
+                out[t, i] = flags[t, i] | states[i]
+                seen |= out[t, i]
             for i in range(N):
                 pressure[t, i] = (counts[t, i] - zero[i] + added[i]) * gain[i]
-            for i in range(N):
-                flag = flags[t, i] | states[i]
-                if flag & unknown:
-                    pressure[t, i] = NAN
-                elif (counts[t, i] <= saturation if gain[i] < 0 else counts[t, i] >= saturation):
-                    flag |= saturated
-                out[t, i] = flag
+            if seen & unknown:
+                for i in range(N):
+                    if out[t, i] & unknown:
+                        pressure[t, i] = NAN
+            if saturation == saturation:
+                for i in range(N):
+                    full = counts[t, i] <= saturation if gain[i] < 0 else counts[t, i] >= saturation
+                    if full and not out[t, i] & unknown:
+                        out[t, i] |= saturated
 
 
 def look(const float[::1] x):
@@ -94,3 +101,22 @@ def keep_total(
         if scale != 1:
             for i in range(M):
                 x[i] *= scale
+
+
+def part_sums(const float[:, ::1] x, const long[::1] rows, const long[::1] columns, double[:, ::1] out):
+    """Fill `out` (P, Q) with the sums over parts of x (R, C), which begin at `rows` (P,) and `columns` (Q,)."""
+    cdef long R = x.shape[0], C = x.shape[1], P = rows.shape[0], Q = columns.shape[0], i, j, p = 0, q
+    cdef float total
+    if not (P and Q and out.shape[0] == P and out.shape[1] == Q and rows[0] == columns[0] == 0
+            and rows[P - 1] < R and columns[Q - 1] < C):
+        raise ValueError("part_sums: shapes do not fit")
+    with nogil:
+        out[:, :] = 0
+        for i in range(R):
+            if p + 1 < P and rows[p + 1] <= i:
+                p += 1
+            for q in range(Q):
+                total = 0
+                for j in range(columns[q], columns[q + 1] if q + 1 < Q else C):
+                    total += x[i, j]
+                out[p, q] += total

@@ -5,6 +5,7 @@ than its noise explains, and the modes that the cover weakens most hold no less 
 """
 
 from collections.abc import Callable
+from math import sqrt
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.special import gammainccinv, ndtri
 
 from tactiled.arrays import Flags, Floats, Floats32, Ints, Mask
+from tactiled.core import readings
 from tactiled.diagnostics.warning_codes import WarningCode, warning
 from tactiled.frames import FrameWarning
 from tactiled.restore.blur import Blur
@@ -47,9 +49,6 @@ class FrameChecks:
         """`floor_kpa` is the part of the noise that rounding to counts makes."""
         self._blur, self._floor = blur, floor_kpa
         self._grid = len(blur.surface_shape) == 2 and min(blur.surface_shape) > 2
-        self._rim = np.ones(blur.surface_shape, bool)
-        if self._grid:
-            self._rim[1:-1, 1:-1] = False
         self._parts = _Parts(blur.frame_shape)
         self._cells = _Parts(blur.surface_shape)
         self._max_below = _max_below(int(np.prod(blur.frame_shape)))
@@ -90,18 +89,22 @@ class FrameChecks:
         `predict` gives what the taxels feel (kPa) of the image, where something of it lies beyond the array.
         """
         sound = flags == 0
-        if not sound.any():
+        count = np.count_nonzero(sound)
+        if not count:
             return ()
         predicted = predict() if predict else self._blur.forward(image)
-        completed = np.where(sound, raw, predicted)
+        if count == sound.size:
+            completed, zeroed, pressure, felt = raw, raw, raw.reshape(-1), predicted.reshape(-1)
+        else:
+            completed, zeroed = np.where(sound, raw, predicted), np.where(sound, raw, np.float32(0))
+            pressure, felt = raw[sound], predicted[sound]
         offset = self._even_offset(image, noise)
         tests: dict[WarningCode, bool] = {
-            "negative": self._negative(raw[sound], np.where(sound, raw, np.float32(0)), sound, noise),
+            "negative": self._negative(pressure, zeroed, sound, noise),
             "offset": offset,
-            "noise_low": self._noise_low(completed, noise * float(np.sqrt(sound.mean()))),
+            "noise_low": self._noise_low(completed, noise * sqrt(count / sound.size)),
         }
         codes = [code for code, failed in tests.items() if failed]
-        pressure = raw[sound]
         peak = float(pressure.max())
         if peak < PRESSED * noise:
             return tuple(codes)
@@ -111,7 +114,7 @@ class FrameChecks:
         # An image of points shows whole cells, but their fit, which matched, was of positions between them. A raw
         # image still has the cover's blur in it, and explains no frame.
         if method not in ("points", "raw"):
-            codes += _residual(np.abs(predicted[sound] - pressure) / expected)
+            codes += _residual(np.abs(felt - pressure) / expected)
             if not offset and self._moved_offset(completed, predicted, noise):
                 codes.append("offset")
         if self._grid and self._over_the_edge(image):
@@ -159,7 +162,8 @@ class FrameChecks:
         return float(np.dot(weakest, weakest)) < (noise / NOISE_RATIO) ** 2 * weakest.size
 
     def _over_the_edge(self, image: Floats32) -> bool:
-        return float(image[self._rim].max()) > EDGE_RATIO * float(image[~self._rim].max())
+        rim = max(float(each.max()) for each in (image[0], image[-1], image[:, 0], image[:, -1]))
+        return rim > EDGE_RATIO * float(image[1:-1, 1:-1].max())
 
 
 class _Parts:
@@ -167,14 +171,14 @@ class _Parts:
 
     def __init__(self, shape: tuple[int, ...]) -> None:
         parts = PARTS_PER_AXIS if len(shape) == 2 else PARTS_PER_AXIS**2
-        self._first = [np.linspace(0, n, min(n, parts), endpoint=False).astype(int) for n in shape]
+        first = [np.linspace(0, n, min(n, parts), endpoint=False).astype(int) for n in shape]
+        self._rows, self._columns = first[0], first[1] if len(shape) == 2 else np.zeros(1, int)
         self.counts = self.sums(np.ones(shape, np.float32))
 
     def sums(self, values: NDArray[Any]) -> Floats:
         """Sum over each part."""
-        summed = np.asarray(values, float)
-        for axis, first in enumerate(self._first):
-            summed = np.add.reduceat(summed, first, axis=axis)
+        summed, values = np.empty((len(self._rows), len(self._columns))), np.ascontiguousarray(values, np.float32)
+        readings.part_sums(values.reshape(len(values), -1), self._rows, self._columns, summed)
         return summed
 
 
@@ -198,7 +202,7 @@ def _weakest(gain: Floats) -> Ints | None:
     return np.argsort(gain, axis=None)[:count] if count <= gain.size // 2 else None
 
 
-def _residual(ratios: Floats32) -> list[WarningCode]:
+def _residual(ratios: NDArray[Any]) -> list[WarningCode]:
     """What a residual shows, as ratios to the expected one."""
     outliers = int(np.count_nonzero(ratios > MAX_RESIDUAL))
     if outliers > MAX_OUTLIERS or float(np.sqrt(np.mean(np.square(ratios)))) > MAX_RESIDUAL_RMS:

@@ -63,6 +63,17 @@ def test_an_excess_is_taken_from_all_that_is_pressed_and_a_lack_is_scaled_up(see
     np.testing.assert_allclose(x, expected, rtol=1e-3, atol=1e-4)
 
 
+@given(SEEDS, st.integers(1, 30), st.integers(1, 30))
+def test_parts_are_summed_each_for_itself(seed, rows, columns):
+    random = np.random.default_rng(seed)
+    x = random.normal(size=(rows, columns)).astype(np.float32)
+    down, across = (np.flatnonzero(np.append(True, random.random(n - 1) < 0.3)) for n in x.shape)
+    out = np.empty((len(down), len(across)))
+    readings.part_sums(x, down, across, out)
+    expected = np.add.reduceat(np.add.reduceat(x.astype(float), down, axis=0), across, axis=1)
+    np.testing.assert_allclose(out, expected, atol=1e-4)
+
+
 def test_shapes_that_do_not_fit_are_refused():
     rows, row = np.zeros((2, 5), np.float32), np.zeros(5, np.float32)
     flags, states = np.zeros((2, 5), np.uint8), np.zeros(5, np.uint8)
@@ -74,5 +85,9 @@ def test_shapes_that_do_not_fit_are_refused():
             wrong[n] = np.ascontiguousarray(each[..., 1:])
             with pytest.raises(ValueError, match="do not fit"):
                 readings.calibrate(*wrong)
+    for down, across in (([0, 2], [0]), ([0], [0, 5]), ([1], [0]), ([0], [])):
+        parts = np.array(down, int), np.array(across, int)
+        with pytest.raises(ValueError, match="do not fit"):
+            readings.part_sums(rows, *parts, np.empty((len(down), len(across))))
     with pytest.raises(ValueError, match="do not fit"):
         readings.keep_total(row, row[1:].copy(), 1.0, 0.0, 0.0, 0.0, 0.5, 2.0, 8)
