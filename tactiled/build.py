@@ -19,15 +19,13 @@ from tactiled.calibrate.sections import CoverSection
 from tactiled.config import classic, schema
 from tactiled.cover.cache import Report
 from tactiled.cover.kernel import Kernel, cached, radial
-from tactiled.cover.operator import cached as cached_table
-from tactiled.cover.operator import tiled
 from tactiled.cover.stack import Layer, Stack
 from tactiled.cover.summary import CoverSummary, summarise
 from tactiled.diagnostics.warning_codes import warning
 from tactiled.errors import ConfigError, TactileError
 from tactiled.frames import CONFIGURED, FrameWarning
-from tactiled.geometry import Array, Cells, Pose, grid, layout, tiling
-from tactiled.restore.blur import Blur, MatrixBlur
+from tactiled.geometry import Array, Pose, Raster, grid, layout, raster
+from tactiled.restore.blur import Blur
 from tactiled.restore.methods import require
 from tactiled.units import COUNTS, PRESSURE, Unit
 
@@ -48,7 +46,7 @@ class SensorPlan:
     array: Array
     kernel: Kernel
     blur: Blur
-    cells: Cells  # of the restored image
+    cells: Raster  # of the restored image
     calibration: Calibration
     method: str
     budget_s: float | None  # for restoring a frame; None for the default
@@ -57,11 +55,6 @@ class SensorPlan:
     calibrated: bool  # whether pressures are in kPa; else they are in counts
     file: CalibrationFile | None = None  # that it is calibrated with
     pose: Pose | None = None  # of the array in its robot; None where it is not configured
-
-    @property
-    def cell_mm(self) -> float:
-        """Side of a surface cell, or of a square of their mean area."""
-        return float(np.sqrt(self.cells.areas.mean()))
 
     @property
     def unit(self) -> Unit:
@@ -157,10 +150,11 @@ def _plan(
     calibrated = sensor.calibration.kpa_per_count is not None or calibration.curves is not None
     _check_forces(sensor.calibration, codec, calibrated)
     Calibrator(calibration, array.size)  # refuses a dead taxel that the array does not have
-    _check_cells(array, sensor.refine)
+    refine = surface.cells_a_pitch(array, sensor.refine)
+    _check_cells(array, refine)
     cover = file.cover if file else None
     kernel = make_kernel(sensor.kernel, stack, cover, solving)
-    blur = make_blur(kernel, array, sensor.refine)
+    blur = surface.make(kernel, array, refine)
     if cover:
         blur.thickness_error = cover.fit.thickness_error
     place = sensor.array.model_dump(include={"frame_id", "origin_mm", "orientation"}, exclude_none=True)
@@ -172,7 +166,7 @@ def _plan(
         array=array,
         kernel=kernel,
         blur=blur,
-        cells=tiling(array, sensor.refine),
+        cells=raster(array, refine),
         calibration=calibration,
         method=sensor.method,
         budget_s=None if sensor.budget_ms is None else 1e-3 * sensor.budget_ms,
@@ -200,8 +194,10 @@ def _check_file(name: str, sensor: schema.Sensor, file: CalibrationFile, size: i
 
 
 def _check_cells(array: Array, refine: int) -> None:
-    """ConfigError where a surface has too many cells to be restored in time."""
-    cells, side = array.size * refine**2, max(array.frame_shape) * refine
+    """ConfigError where a grid's image has too many cells to be restored in time."""
+    if array.shape is None:
+        return
+    cells, side = array.size * refine**2, max(array.shape) * refine
     if cells > MAX_CELLS or side > MAX_CELLS_IN_A_ROW:
         raise ConfigError(
             f"refine = {refine}: {array.size} taxels then have {cells} cells, up to {side} in a row: "
@@ -264,20 +260,6 @@ def make_array(sensor: schema.Sensor) -> Array:
 def make_codec(sensor: schema.Sensor) -> Codec:
     """The codec of a sensor; ConfigError where the array is larger than it can carry."""
     return skins.make(sensor.codec.name, sensor.codec.settings, make_array(sensor))
-
-
-def make_blur(kernel: Kernel, array: Array, refine: int) -> Blur:
-    """The operator from surface cells to taxels; ConfigError where a layout that is no grid is to be refined."""
-    if array.shape is None and refine != 1:
-        raise ConfigError(f"refine = {refine}: only a grid can be refined; give 1")
-    blur: Blur
-    if array.shape is not None:
-        blur = surface.grid_blur(kernel, array, refine)
-    else:
-        cells = tiling(array)
-        blur = MatrixBlur(cached_table(tiled, kernel, array, cells), float(np.sqrt(cells.areas.mean())))
-    blur.wide = surface.make(kernel, array, refine)
-    return blur
 
 
 def make_kernel(

@@ -91,8 +91,10 @@ class Chain:
         return restorer(raw, flags, expired)
 
     def known(self, restored: Floats32, flags: Flags) -> tuple[Floats32, Floats32 | None]:
-        """A copy of a restored image, NaN where lost taxels leave it unknown; and the cells' `shares`."""
+        """A copy of a restored image, NaN where no taxel feels it or lost ones leave it unknown; and `shares`."""
         image, share = restored.copy(), shares(flags, self.plan.blur)
+        if self.plan.array.shape is None:
+            image[self.plan.cells.taxel < 0] = np.nan
         if share is not None:
             image[unknown_cells(flags, self.plan.blur, share)] = np.nan
         return image, share

@@ -117,7 +117,7 @@ class Image:
     raw: NDArray[np.float32]  # in `unit`, (R, C) for a grid, (N,) for any other layout; NaN where nothing is known
     restored: NDArray[
         np.float32
-    ]  # in `unit`, (R k, C k) for a grid refined k times, (N,) otherwise; NaN where unknown
+    ]  # in `unit`, (rows, columns) of a `geometry.Raster`; NaN where unknown or not felt
     flags: NDArray[np.uint8]  # the raw image's shape: of FLAG_BITS
     method: str  # what ran: idle, raw, wiener, rl, nnls, ...
     why: str  # why it was chosen

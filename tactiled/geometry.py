@@ -2,15 +2,12 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tactiled.errors import ConfigError
-
-if TYPE_CHECKING:
-    from scipy.spatial import cKDTree
 
 Aperture = Literal["square", "round"]
 Sides = tuple[float, float, float, float]
@@ -97,7 +94,7 @@ class Pose:
 
 @dataclass(frozen=True, eq=False)
 class Cells:
-    """The cells of a surface, each made of small squares, all of one side."""
+    """The cells of a surface, of any form, each made of small squares, all of one side."""
 
     pieces: NDArray[np.float64]  # (P, 2) mm, the squares' centres
     side: float  # mm
@@ -126,9 +123,7 @@ class Cells:
     @property
     def rim(self) -> NDArray[np.bool_]:
         """Cells (M,) at the border of the surface."""
-        empty = np.pad(self.raster, 1, constant_values=-1) < 0
-        beside = empty[:-2, 1:-1] | empty[2:, 1:-1] | empty[1:-1, :-2] | empty[1:-1, 2:]
-        return np.isin(np.arange(self.owner.max() + 1), self.raster[beside])
+        return np.isin(np.arange(self.owner.max() + 1), self.raster[_rim(self.raster >= 0)])
 
     @property
     def corner(self) -> NDArray[np.float64]:
@@ -140,60 +135,137 @@ class Cells:
         return np.append(values.ravel(), np.float32(np.nan))[self.raster]
 
 
-def tiling(array: Array, refine: int = 1) -> Cells:
-    """Cells that cover the surface over an array: squares of a grid, refined; else what is nearest to each taxel.
+@dataclass(frozen=True, eq=False)
+class Raster:
+    """The square cells of an image, in rows and columns, and the taxel that each of them belongs to."""
+
+    corner: NDArray[np.float64]  # (2,) mm, the centre of the first cell
+    side: float  # mm
+    taxel: NDArray[np.int64]  # (R, C) the nearest taxel; -1 where none feels the cell, whose value is unknown
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        rows, columns = self.taxel.shape
+        return rows, columns
+
+    @property
+    def felt(self) -> NDArray[np.bool_]:
+        """(R, C) which cells taxels feel."""
+        return np.asarray(self.taxel >= 0)
+
+    @cached_property
+    def positions(self) -> NDArray[np.float64]:
+        """(R C, 2) mm, the cells' centres."""
+        row, column = np.indices(self.shape)
+        return np.asarray(self.corner + self.side * np.column_stack([column.ravel(), row.ravel()]))
+
+    @property
+    def rim(self) -> NDArray[np.bool_]:
+        """(R, C) which felt cells have a side at the border of those."""
+        return _rim(self.felt)
+
+    def at_taxels(self, values: NDArray[np.floating], size: int) -> NDArray[np.float32]:
+        """Mean of the known values (..., R, C) on each of `size` taxels (..., N); NaN where none is known."""
+        flat, felt = values.reshape(-1, self.taxel.size), self.felt.ravel()
+        known = np.isfinite(flat) & felt
+        cell = np.where(felt, self.taxel.ravel(), 0) + size * np.arange(len(flat))[:, None]
+        counts = np.bincount(cell[known], minlength=size * len(flat))
+        sums = np.bincount(cell[known], flat[known], size * len(flat))
+        means = np.divide(sums, counts, out=np.full(len(sums), np.nan), where=counts > 0)
+        return np.asarray(means.reshape(*values.shape[:-2], size), np.float32)
+
+
+def raster(array: Array, refine: int) -> Raster:
+    """Lay an image's cells over an array, `refine` along the distance between its taxels.
+
+    Those of a layout reach half of that beyond its taxels; a cell is felt where the layout's tiling has it.
+    """
+    side = spacing(array) / refine
+    if array.shape is not None:
+        corner = array.positions.min(axis=0) - (array.pitch - side) / 2
+        taxels = np.arange(array.size).reshape(array.shape)
+        return Raster(corner, side, taxels.repeat(refine, 0).repeat(refine, 1))
+    _square_side(array)
+    low, high = array.positions.min(axis=0), array.positions.max(axis=0)
+    columns, rows = (refine + np.maximum(np.ceil((high - low) / side - 0.01), 0)).astype(int).tolist()
+    corner = (low + high - side * (np.array([columns, rows]) - 1)) / 2
+    empty = Raster(corner, side, np.full((rows, columns), -1))
+    owner, within = _nearest(array, empty.positions)
+    taxel = np.where(within, owner, -1)
+    column, row = np.rint((array.positions - corner) / side).astype(int).T
+    alone = np.bincount(taxel[within], minlength=array.size) == 0
+    taxel[(row * columns + column)[alone]] = np.flatnonzero(alone)
+    return Raster(corner, side, taxel.reshape(rows, columns))
+
+
+def tiling(array: Array) -> Cells:
+    """What each taxel stands for: a square of a grid; of a layout what is nearest to the taxel.
 
     At a layout's rim a cell reaches RIM_SPACINGS times the spacing around it out from its taxel.
     """
     if array.shape is not None:
-        side = array.pitch / refine
-        rows, columns = (n * refine for n in array.shape)
-        y, x = np.mgrid[:rows, :columns] * side
-        low = array.positions.min(axis=0) - (array.pitch - side) / 2
-        return Cells(np.column_stack([x.ravel(), y.ravel()]) + low, side, np.arange(rows * columns))
-    from scipy.spatial import cKDTree  # here: what reads a recording of a grid starts in half the time
+        return Cells(array.positions, array.pitch, np.arange(array.size))
+    side, reach = _square_side(array), RIM_SPACINGS * spacings(array).max()
+    low, high = array.positions.min(axis=0) - reach, array.positions.max(axis=0) + reach
+    x, y = np.meshgrid(*(np.arange(a + side / 2, b, side) for a, b in zip(low, high, strict=True)))
+    pieces = np.column_stack([x.ravel(), y.ravel()])
+    owner, within = _nearest(array, pieces)
+    return Cells(pieces[within], side, owner[within].astype(np.int64))
 
-    tree = cKDTree(array.positions)
-    spacings = _spacings(array, tree)
-    spacing, reach = float(np.median(spacings)), RIM_SPACINGS * spacings
-    side = min(spacing, 2 * array.pitch) / SQUARES_PER_SPACING
-    low, high = array.positions.min(axis=0) - reach.max(), array.positions.max(axis=0) + reach.max()
-    if np.prod((high - low) / side) > MAX_SQUARES:
-        width, height = np.ptp(array.positions, axis=0)
+
+def _square_side(array: Array) -> float:
+    """Side (mm) of the squares that a layout's tiling is made of; ConfigError where they would be too many."""
+    side, reach = min(spacing(array), 2 * array.pitch) / SQUARES_PER_SPACING, RIM_SPACINGS * spacings(array).max()
+    width, height = np.ptp(array.positions, axis=0)
+    if (width + 2 * reach) * (height + 2 * reach) > MAX_SQUARES * side**2:
         raise ConfigError(
             f"array positions spread over {width:g} x {height:g} mm, and two are {array.pitch:g} mm apart: "
             "too far from even; split it into several sensors"
         )
-    x, y = np.meshgrid(*(np.arange(a + side / 2, b, side) for a, b in zip(low, high, strict=True)))
-    pieces = np.column_stack([x.ravel(), y.ravel()])
-    distance, owner = (np.asarray(each) for each in tree.query(pieces))
-    within = (distance <= reach[owner]) | _between(array.positions, spacings, pieces)
-    return Cells(pieces[within], side, owner[within].astype(np.int64))
+    return float(side)
 
 
-def raster(corner: NDArray[np.float64], shape: tuple[int, int], side: float, parts: int) -> Cells:
-    """Give (R, C) square cells of `side` (mm) from a corner (x, y), each made of parts x parts squares."""
-    y, x = np.mgrid[: parts * shape[0], : parts * shape[1]]
-    squares = np.column_stack([x.ravel() + 0.5, y.ravel() + 0.5]) * side / parts + corner
-    return Cells(squares, side / parts, (y // parts * shape[1] + x // parts).ravel())
+def squares(raster: Raster, parts: int) -> Cells:
+    """Give all cells of a raster, each made of parts x parts squares."""
+    rows, columns = raster.shape
+    y, x = np.mgrid[: parts * rows, : parts * columns]
+    corner = raster.corner - raster.side / 2
+    pieces = np.column_stack([x.ravel() + 0.5, y.ravel() + 0.5]) * raster.side / parts + corner
+    return Cells(pieces, raster.side / parts, (y // parts * columns + x // parts).ravel())
 
 
 def spacing(array: Array) -> float:
     """Give the distance (mm) between neighbours: of a layout the median of what is around each taxel."""
-    if array.shape is not None:
-        return array.pitch
-    from scipy.spatial import cKDTree
-
-    return float(np.median(_spacings(array, cKDTree(array.positions))))
+    return array.pitch if array.shape is not None else float(np.median(spacings(array)))
 
 
-def _spacings(array: Array, tree: "cKDTree") -> NDArray[np.float64]:
-    """A layout's spacing (N,) in mm: mean distance to the nearest, the median of these and the taxel's own."""
+def spacings(array: Array) -> NDArray[np.float64]:
+    """Give a layout's spacing (N,), mm: mean distance to the nearest, the median of these and the taxel's own."""
     if array.size == 1:
         return np.array([array.pitch])
+    from scipy.spatial import cKDTree  # here: what reads a recording of a grid starts in half the time
+
+    tree = cKDTree(array.positions)
     near = min(NEIGHBOURS, array.size - 1) + 1  # the first is the taxel itself
     distances, taxels = map(np.asarray, tree.query(array.positions, k=near))
     return np.asarray(np.median(distances[:, 1:].mean(axis=1)[taxels], axis=1))
+
+
+def _nearest(array: Array, points: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """The taxel (P,) of a layout that each point is nearest to, and whether the layout reaches there."""
+    from scipy.spatial import cKDTree
+
+    around = spacings(array)
+    distance, owner = (np.asarray(each) for each in cKDTree(array.positions).query(points))
+    within = (distance <= RIM_SPACINGS * around[owner]) | _between(array.positions, around, points)
+    return owner.astype(np.int64), within
+
+
+def _rim(felt: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Which of the squares (R, C) that are there have a side at their border."""
+    there = np.pad(felt, 1)
+    return np.asarray(felt & ~(there[:-2, 1:-1] & there[2:, 1:-1] & there[1:-1, :-2] & there[1:-1, 2:]))
 
 
 def _between(

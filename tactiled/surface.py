@@ -6,8 +6,9 @@ import numpy as np
 
 from tactiled.cover.kernel import Kernel
 from tactiled.cover.operator import cached, stencil, tiled
-from tactiled.geometry import Array, grid, raster, spacing, tiling
-from tactiled.restore.blur import GridBlur, Wide
+from tactiled.errors import ConfigError
+from tactiled.geometry import Array, Raster, grid, raster, spacing, squares
+from tactiled.restore.blur import Blur, GridBlur, MatrixBlur, Wide
 
 BEYOND = 2  # pitches that the surface reaches beyond the taxels: with 3 or 4 errors grow again
 THIN_BEYOND, THIN_PITCHES = 1, 0.75  # the same under a cover that is thinner than so many pitches
@@ -16,18 +17,57 @@ PARTS = 4  # squares along a cell, of which a taxel elsewhere feels each
 CELLS_A_PITCH = 2  # where the taxels are no grid
 MAX_BEYOND_VALUES = 1 << 22  # of a grid: taxels beyond it times its own, as 64 x 64 have
 MAX_CELLS, MAX_VALUES = 4096, 1 << 20  # of a surface with taxels elsewhere: it, and times the taxels
+MAX_LAYOUT_CELLS, MAX_LAYOUT_VALUES = (
+    1 << 14,
+    1 << 22,
+)  # the same that a layout may have: it takes seconds to solve
 
 
-def make(kernel: Kernel, array: Array, refine: int) -> Wide | None:
-    """Lay the surface around an array; None where it has too many cells for that, or is the array's own."""
+def cells_a_pitch(array: Array, refine: int | None) -> int:
+    """Give how many cells an image has along the distance between taxels: `refine`, or by need.
+
+    ConfigError where the surface of a layout has more cells than can be restored.
+    """
+    if array.shape is not None:
+        return refine or 1
+    k = refine or CELLS_A_PITCH
+    cells = _surface_cells(array, k)
+    if refine is None and (cells > MAX_CELLS or cells * array.size > MAX_VALUES):
+        k, cells = 1, _surface_cells(array, 1)
+    most = min(MAX_LAYOUT_CELLS, MAX_LAYOUT_VALUES // array.size)
+    if cells > most:
+        width, height = np.ptp(array.positions, axis=0)
+        raise ConfigError(
+            f"refine = {k}: {array.size} taxels over {width:g} x {height:g} mm have a surface of {cells} cells: "
+            f"at most {most}: give a smaller refine, or split the array into several sensors"
+        )
+    return k
+
+
+def _surface_cells(array: Array, refine: int) -> int:
+    """Cells of a layout's surface with all that may lie beyond."""
+    rows, columns = raster(array, refine).shape
+    return (rows + 2 * BEYOND * refine) * (columns + 2 * BEYOND * refine)
+
+
+def make(kernel: Kernel, array: Array, refine: int) -> Blur:
+    """Make the operator from the cells of an array's image to its taxels, `refine` of them a pitch."""
     pitch = spacing(array)
     most = THIN_BEYOND if kernel.stack.depth < THIN_PITCHES * pitch else BEYOND
     beyond = [
         most if array.beyond is None else min(most, round(side / pitch)) for side in array.beyond or (0,) * 4
     ]
     if array.shape is None:
-        return _around(kernel, array, pitch, beyond)
-    above, below, left, right = beyond
+        return _around(kernel, array, refine, beyond)
+    blur = grid_blur(kernel, array, refine)
+    blur.wide = _beyond(kernel, array, refine, beyond)
+    return blur
+
+
+def _beyond(kernel: Kernel, array: Array, refine: int, sides: list[int]) -> Wide | None:
+    """Lay the surface around a grid; None where it has too many cells for that, or is the grid's own."""
+    assert array.shape is not None
+    above, below, left, right = sides
     wide_shape = array.shape[0] + above + below, array.shape[1] + left + right
     taxels = slice(above, above + array.shape[0]), slice(left, left + array.shape[1])
     wide = grid(*wide_shape, array.pitch, array.width, array.aperture)
@@ -43,23 +83,18 @@ def make(kernel: Kernel, array: Array, refine: int) -> Wide | None:
     return Wide(_raster_blur(kernel, fine.surface_shape, array.pitch / refine), own, felt)
 
 
-def _around(kernel: Kernel, array: Array, pitch: float, beyond: list[int]) -> Wide | None:
-    """Lay it around taxels that are no grid; their cells' means are what is shown of it."""
-    cells, side = tiling(array), pitch / CELLS_A_PITCH
-    above, below, left, right = (each * pitch for each in beyond)
-    low, high = array.positions.min(axis=0) - pitch / 2, array.positions.max(axis=0) + pitch / 2
-    size = high - low + [left + right, above + below]
-    columns, rows = (max(int(np.ceil(each / side - 0.01)), 1) for each in size)
-    if rows * columns > MAX_CELLS or rows * columns * array.size > MAX_VALUES:
-        return None
-    corner = low - [left, above] - (np.array([columns, rows]) * side - size) / 2
-    felt = cached(tiled, kernel, array, raster(corner, (rows, columns), side, PARTS))
-    last = columns - 1, rows - 1
-    column, row = np.clip((cells.pieces - corner) / side, 0, last).astype(int).T
-    shown = np.zeros((array.size, rows * columns))
-    np.add.at(shown, (cells.owner, row * columns + column), 1)
-    shown /= shown.sum(axis=1, keepdims=True)
-    return Wide(_raster_blur(kernel, (rows, columns), side), (slice(rows), slice(columns)), felt, shown)
+def _around(kernel: Kernel, array: Array, refine: int, sides: list[int]) -> MatrixBlur:
+    """Lay the surface around taxels that are no grid."""
+    image = raster(array, refine)
+    above, below, left, right = (refine * each for each in sides)
+    taxel = np.pad(image.taxel, ((above, below), (left, right)), constant_values=-1)
+    surface = Raster(image.corner - image.side * np.array([left, above]), image.side, taxel)
+    felt = cached(tiled, kernel, array, squares(surface, PARTS))
+    rows, columns = image.shape
+    own = slice(above, above + rows), slice(left, left + columns)
+    blur = MatrixBlur(felt.reshape(-1, *surface.shape)[:, *own], image.side, refine, image.taxel)
+    blur.wide = Wide(_raster_blur(kernel, surface.shape, image.side), own, felt)
+    return blur
 
 
 def _raster_blur(kernel: Kernel, shape: tuple[int, ...], side: float) -> GridBlur:

@@ -21,7 +21,7 @@ LAYOUT = (  # offset, type, meaning
     (0, "4 bytes", "TCTL"),
     (4, "u8", f"version: {VERSION}"),
     (5, "u8", "kind: 0 raw, 1 restored, 2 shear"),
-    (6, "u16", "rows; 1 if the layout is not a grid"),
+    (6, "u16", "rows; 1 of taxels that are not a grid"),
     (8, "u16", "columns"),
     (10, "u16", "F, number of flags: one per taxel in a raw image, else 0"),
     (12, "u16", "N, bytes of the sensor's name; 0 on a stream of one sensor"),
@@ -82,7 +82,8 @@ def pack(image: Image, kind: Kind, made_at: float, sensor: str = "") -> bytes:
     """Give the message of one image; `made_at` is its time (s, Unix), `sensor` the name to put in."""
     values = _values(image, kind)
     flags = image.flags.tobytes() if kind == "raw" else b""
-    rows, columns = values.shape[-2:] if image.raw.ndim == 2 else (1, values.shape[-1])
+    plane = values[0] if kind == "shear" else values
+    rows, columns = plane.shape if plane.ndim == 2 else (1, plane.size)
     name = sensor.encode()
     head = HEADER.pack(
         MAGIC,

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from tactiled.errors import ConfigError
-from tactiled.geometry import grid, layout, tiling
+from tactiled.geometry import grid, layout, raster, tiling
 
 
 def test_a_grid_runs_along_its_rows_from_the_first_taxel():
@@ -41,13 +41,30 @@ def test_an_array_that_cannot_be_is_refused_by_name(make, text):
         make()
 
 
-def test_cells_cover_a_grid_and_its_refinement():
+def test_an_images_cells_cover_a_grid():
     array = grid(3, 4, 2.0)
     for refine in (1, 2, 3):
-        cells = tiling(array, refine)
-        assert cells.areas.sum() == pytest.approx(3 * 4 * 2.0**2)
+        cells = raster(array, refine)
+        assert cells.felt.sum() * cells.side**2 == pytest.approx(3 * 4 * 2.0**2)
         np.testing.assert_allclose(cells.positions.mean(axis=0), array.positions.mean(axis=0))
-    np.testing.assert_allclose(tiling(array).positions, array.positions)
+        assert cells.taxel[-1].tolist() == np.repeat([8, 9, 10, 11], refine).tolist()
+    np.testing.assert_allclose(raster(array, 1).positions, array.positions)
+
+
+def test_an_images_cells_lie_around_a_layouts_taxels():
+    y, x = (2.0 * each.ravel() for each in np.mgrid[:6, :6])
+    cells = raster(layout(np.column_stack([x, y])[(x < 7) | (y < 7)]), 2)  # a corner of 2 x 2 has none
+    assert (cells.shape, cells.side, cells.corner.tolist()) == ((12, 12), 1.0, [-0.5, -0.5])
+    row, column = np.indices(cells.shape)
+    np.testing.assert_array_equal(cells.felt, (row < 8) | (column < 8))
+    assert cells.taxel[2].tolist() == [6, 6, 7, 7, 8, 8, 9, 9, 10, 10, 11, 11]
+    assert (cells.rim[7, 8:].all(), cells.rim[6, 8:11].any()) == (True, False)
+    values = np.arange(144, dtype=np.float32).reshape(12, 12)
+    values[2, 2] = np.nan  # not known
+    means = cells.at_taxels(np.stack([values, -values]), 32)
+    assert means[:, 7].tolist() == pytest.approx([(27 + 38 + 39) / 3, -(27 + 38 + 39) / 3])
+    close = raster(layout(np.array([[0, 0], [0.1, 0], [5, 0], [0, 5], [5, 5], [10, 0], [10, 5]])), 2)
+    assert set(range(7)) - set(close.taxel.ravel()) <= {1}  # two in one cell: one of them has it
 
 
 def test_cells_of_a_hexagonal_layout_are_hexagons():

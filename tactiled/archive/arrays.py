@@ -176,9 +176,8 @@ def frameless(plan: SensorPlan, provenance: Mapping[str, Any]) -> Arrays:
 def dimensions(plan: SensorPlan) -> dict[str, tuple[str, ...]]:
     """Names of the dimensions of each array, ("time",) for any other."""
     taxels = ("row", "column") if len(plan.array.frame_shape) == 2 else ("taxel",)
-    cells = ("cell_row", "cell_column") if len(plan.blur.surface_shape) == 2 else ("cell",)
     return {
-        "raw": ("time", *taxels), "flags": ("time", *taxels), "restored": ("time", *cells),
+        "raw": ("time", *taxels), "flags": ("time", *taxels), "restored": ("time", "cell_row", "cell_column"),
         "shear": ("time", "axis", *taxels), "loss": ("time", "loss_kind"),
         "regions": ("time", "region", "measure"),
         "positions_mm": ("taxel", "axis"), "cells_mm": ("cell", "axis"), **{name: (name,) for name in LABELS},

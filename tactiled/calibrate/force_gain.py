@@ -24,7 +24,7 @@ from tactiled.calibrate.means import Means, Rails, mean_counts, require_response
 from tactiled.calibrate.plateaus import plateaus, response
 from tactiled.calibrate.reference import Reference, align
 from tactiled.errors import ConfigError
-from tactiled.geometry import Array, tiling
+from tactiled.geometry import Array, raster, tiling
 from tactiled.restore.blur import Blur
 from tactiled.restore.noise import NORMAL_95
 from tactiled.units import N_PER_KPA_MM2
@@ -47,9 +47,10 @@ MIN_WEIGHT_HOLD = 0.05  # of the recording
 
 
 def reach_of(blur: Blur, array: Array) -> Floats:
-    """Share (N,) of a load above each taxel that the array senses; `blur` has a cell a taxel."""
-    areas = tiling(array).areas
-    return np.asarray(blur.adjoint(areas.reshape(blur.frame_shape)).ravel() / areas, float)
+    """Share (N,) of a load above each taxel that the array senses."""
+    areas, cells = tiling(array).areas, raster(array, blur.refine)
+    share = blur.adjoint(areas.reshape(blur.frame_shape)) / cells.side**2
+    return np.asarray(cells.at_taxels(share, array.size), float)
 
 
 @unknown_taxels()

@@ -9,7 +9,8 @@ import numpy as np
 import typer
 from threadpoolctl import threadpool_limits
 
-from tactiled.build import make_array, make_blur, make_codec, make_kernel, make_stack
+from tactiled import surface
+from tactiled.build import make_array, make_codec, make_kernel, make_stack
 from tactiled.calibrate import calibration_file
 from tactiled.calibrate.calibration_file import CalibrationFile
 from tactiled.calibrate.curves import Curves
@@ -164,7 +165,7 @@ def _reach(sensor: schema.Sensor, file: CalibrationFile | None, array: Array) ->
     cover = file.cover if file else None
     if sensor.kernel.model == "measured" and (cover is None or cover.kernel is None):
         return None
-    return reach_of(make_blur(make_kernel(sensor.kernel, make_stack(sensor), cover), array, 1), array)
+    return reach_of(surface.make(make_kernel(sensor.kernel, make_stack(sensor), cover), array, 1), array)
 
 
 def _rails(sensor: schema.Sensor) -> Rails:

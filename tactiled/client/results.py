@@ -151,10 +151,12 @@ def parse(kind: Any, data: Any) -> Any:
 
 def total_force(image: Image, geometry: Mapping[str, Any]) -> float:
     """The sum of a restored image times the areas of its cells, N or counts mm2; NaN where too few are known."""
-    areas_mm2 = geometry["areas_mm2"] or geometry["restored"]["cell_mm"] ** 2
-    if np.isnan(image.restored).mean() > MAX_UNKNOWN:
+    cells = geometry["restored"]
+    mask = cells.get("mask")  # of a layout
+    pressure = image.restored if mask is None else image.restored[np.array(mask, bool)]
+    if np.isnan(pressure).mean() > MAX_UNKNOWN:
         return np.nan
-    return float(np.nansum(image.restored * areas_mm2)) * FORCE_SCALES[image.unit]
+    return float(np.nansum(pressure * cells["cell_mm"] ** 2)) * FORCE_SCALES[image.unit]
 
 
 def parse_window(sensor: str, kind: Kind, pages: Sequence[Answer]) -> Window:

@@ -289,8 +289,8 @@ class Sensor(Section):
     budget_ms: Annotated[float, Bounds(0.01, 1000.0, "ms")] | None = None
     """Processor time for restoring a frame, after which its image is the best so far; left out: a tenth of the
     time from frame to frame (0.4 of it divided by the sensors if there are more than four), 1 ms at most."""
-    refine: Annotated[int, Bounds(1, 8)] = 1
-    """Cells of the restored image along each side of a taxel; smaller cells show no finer detail."""
+    refine: Annotated[int, Bounds(1, 8)] | None = None
+    """Cells of the restored image along the distance between taxels; left out: 1 of a grid, else 2."""
     stale_after_s: Annotated[float, Bounds(0.001, 3600.0, "s")] = 0.5
     """Age of the last frame from which the sensor is stale."""
 

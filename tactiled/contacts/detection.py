@@ -8,7 +8,7 @@ from scipy.optimize import linear_sum_assignment
 
 from tactiled.arrays import Floats, Floats32, Mask
 from tactiled.contacts.felt import is_known
-from tactiled.geometry import Array, Cells
+from tactiled.geometry import Array, Raster
 from tactiled.units import FORCE_SCALES, PRESSURE, Unit
 
 Labels = NDArray[np.int64]
@@ -49,24 +49,13 @@ class Contact:
 
 
 class Finder:
-    """Finds the contacts in the restored images of one array, whose surface has these cells.
+    """Finds the contacts in the restored images of one array, which have these cells."""
 
-    It searches a picture of squares: a cell is one square of a grid, or several of another layout.
-    """
-
-    def __init__(self, array: Array, cells: Cells) -> None:
-        self._cells = cells
-        self._cell = cells.raster
-        row, column = np.nonzero(self._cell >= 0)
-        owner = self._cell[row, column]
-        offset = cells.corner + cells.side * np.column_stack([column, row]) - cells.positions[owner]
-        order = np.lexsort((np.linalg.norm(offset, axis=1), owner))
-        first = order[np.searchsorted(owner[order], np.arange(len(cells.areas)))]
-        self._middle = row[first], column[first]  # of each cell, the square at its middle
+    def __init__(self, array: Array, cells: Raster) -> None:
+        self._cells, self._felt = cells, cells.felt
         self._border = cells.rim & ~_ends(array, cells)
-        self._squares_a_cell = max(1, round(float(np.sqrt(np.median(cells.areas))) / cells.side))
-        self._near = 2 * round(NEAR_PITCHES * array.pitch / cells.side) + 1  # squares
-        self.parts: Labels = np.zeros(self._cell.shape, np.int64)  # squares of the last image by contact, 0: none
+        self._near = 2 * round(NEAR_PITCHES * array.pitch / cells.side) + 1  # cells
+        self.parts: Labels = np.zeros(cells.shape, np.int64)  # cells of the last image by contact, 0: none
 
     def __call__(
         self,
@@ -83,7 +72,7 @@ class Finder:
         little is left, by the `shares` of the cells. What was one contact, or two, in the `parts` of the image
         before stays so over a dip that is near the bound.
         """
-        pressure = np.nan_to_num(np.asarray(image, float).ravel())
+        pressure = np.where(self._felt, np.nan_to_num(np.asarray(image, float)), 0)
         begin, go_on = BEGIN_SIGMAS * noise, CONTINUE_SIGMAS * noise
         peak = float(pressure.max(initial=0.0))
         if peak <= (go_on if faint else begin):
@@ -92,7 +81,7 @@ class Finder:
         from scipy.ndimage import maximum_filter  # the first contact imports it, and scikit-image
         from skimage.segmentation import expand_labels
 
-        picture = np.append(pressure, -np.inf)[self._cell]
+        picture = np.where(self._felt, pressure, -np.inf)
         highest = maximum_filter(np.maximum(picture, FAR_PEAK_SHARE * peak), self._near)
         was = np.zeros_like(self.parts) if before is None else before
         parts = _split(picture, picture > go_on, highest, go_on, was)
@@ -102,28 +91,27 @@ class Finder:
         threshold = np.where(tops > begin, begin, go_on if faint else np.inf)
         parts[picture <= np.maximum(SKIRT_SHARE * np.maximum(highest, tops[parts]), threshold[parts])] = 0
         self.parts = parts
-        pressed, skirts = parts[self._middle], expand_labels(parts, self._squares_a_cell)[self._middle]
+        skirts = np.where(self._felt, expand_labels(parts, 1), 0)
         scale = FORCE_SCALES[unit]
-        numbers = np.unique(pressed[pressed > 0]).tolist()
+        numbers = np.unique(parts[parts > 0]).tolist()
         if shares is not None:
-            left = shares.ravel()
-            whole = (n for n in numbers if is_known(left[skirts == n]).all())  # no unknown cell cuts it off
-            numbers = [n for n in whole if is_known(left[pressed == n].mean(), summed=True)]
+            whole = (n for n in numbers if is_known(shares[skirts == n]).all())  # no unknown cell cuts it off
+            numbers = [n for n in whole if is_known(shares[parts == n].mean(), summed=True)]
         contacts = [
-            self._measure(pressure, scale, *(np.flatnonzero(each == n) for each in (pressed, skirts)))
+            self._measure(pressure.ravel(), scale, *(np.flatnonzero(each == n) for each in (parts, skirts)))
             for n in numbers
         ]
         return sorted(contacts, key=lambda contact: -contact.force)
 
     def _measure(self, pressure: Floats, force_scale: float, pressed: Labels, skirt: Labels) -> Contact:
         """Measure a contact: force and place with the skirt round the cells that are clearly pressed."""
-        areas = self._cells.areas[skirt]
-        force = pressure[skirt] * areas  # unit of pressure times mm^2
+        area = self._cells.side**2
+        force = pressure[skirt] * area  # unit of pressure times mm^2
         places = self._cells.positions[skirt]
         weight = np.maximum(force, 0) / np.maximum(force, 0).sum()  # what rings below zero has no place
         centre = weight @ places
         offset = places - centre
-        within_cells = float(weight @ areas) / 12  # mm^2, variance of the even pressure inside a square cell
+        within_cells = area / 12  # mm^2, variance of the even pressure inside a square cell
         covariance = (weight[:, None] * offset).T @ offset + within_cells * np.eye(2)
         minor, major = np.sqrt(np.maximum(np.linalg.eigvalsh(covariance), 0.0))
         angle = 0.5 * np.arctan2(2 * covariance[0, 1], covariance[0, 0] - covariance[1, 1])
@@ -132,24 +120,23 @@ class Finder:
             x_mm=float(centre[0]),
             y_mm=float(centre[1]),
             force=float(force.sum()) * force_scale,
-            area_mm2=float(self._cells.areas[pressed].sum()),
+            area_mm2=area * len(pressed),
             peak=float(pressure[pressed].max()),
             major_mm=float(major),
             minor_mm=float(minor),
             angle_rad=float(angle),
-            cut_off=bool(self._border[pressed].any()),
+            cut_off=bool(self._border.ravel()[pressed].any()),
         )
 
 
-def _ends(array: Array, cells: Cells) -> Mask:
-    """Cells (M,) at a side of the array where nothing of the cover is beyond it."""
-    ends = np.zeros(len(cells.areas), bool)
-    if array.beyond is not None:
-        (left, above), (right, below) = cells.positions.min(axis=0), cells.positions.max(axis=0)
-        sides = ((1, above), (1, below), (0, left), (0, right))
-        for beyond, (axis, at) in zip(array.beyond, sides, strict=True):
-            if beyond == 0:
-                ends |= np.abs(cells.positions[:, axis] - at) < cells.side / 2
+def _ends(array: Array, cells: Raster) -> Mask:
+    """Cells (R, C) at a side of the array where nothing of the cover is beyond it."""
+    ends = np.zeros(cells.shape, bool)
+    above, below, left, right = (beyond == 0 for beyond in array.beyond or (np.inf,) * 4)
+    ends[0] |= above
+    ends[-1] |= below
+    ends[:, 0] |= left
+    ends[:, -1] |= right
     return ends
 
 

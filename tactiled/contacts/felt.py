@@ -15,6 +15,7 @@ from tactiled.restore.blur import Blur
 # `python -m tests.study felt` measures what is wrong at each share.
 MIN_CELL_SHARE = 0.2  # with less an image misses over half of the pressure on a cell
 MIN_SUM_SHARE = 0.8  # of a region or contact, whose force is then right to 15 % in nine of ten
+MIN_REACH = 1e-6  # of the most that taxels feel of a cell: of a cell with less nothing is known
 KEPT_SHARES = 64  # taxels that never come are the same ones in each frame
 
 
@@ -50,6 +51,7 @@ def _left(flags: Flags, kinds: int, blur: Blur) -> Floats32 | None:
 @lru_cache(KEPT_SHARES)
 def _shares(lost: bytes, blur: Blur) -> Floats32:
     left = 1 - np.frombuffer(lost, np.bool_).reshape(blur.frame_shape).astype(np.float32)
-    share: Floats32 = np.clip(blur.adjoint(left) / blur.reach, 0, 1)
+    felt = blur.reach > MIN_REACH * blur.reach.max()
+    share = np.clip(np.divide(blur.adjoint(left), blur.reach, out=np.zeros_like(blur.reach), where=felt), 0, 1)
     share.flags.writeable = False
     return share

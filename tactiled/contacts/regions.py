@@ -1,6 +1,5 @@
 """Regions of an array that somebody watches: which cells lie in one, and what an image holds there."""
 
-from math import inf
 from typing import Annotated, Literal, NamedTuple
 
 import numpy as np
@@ -10,7 +9,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from tactiled.arrays import Floats32
 from tactiled.contacts.felt import is_known
 from tactiled.frames import Image
-from tactiled.geometry import Cells
+from tactiled.geometry import Raster
 from tactiled.units import FORCE_SCALES, FORCE_UNITS, Unit
 
 Quantity = Literal["force", "mean", "peak", "area"]
@@ -54,8 +53,8 @@ class Region(BaseModel):
         if limit is not None and limit.below > limit.above:
             raise ValueError(f"threshold: below = {limit.below:g} is more than above = {limit.above:g}")
 
-    def cells(self, cells: Cells) -> NDArray[np.int64]:
-        """Numbers of the cells whose centres lie in it; ValueError where there are none."""
+    def cells(self, cells: Raster) -> NDArray[np.int64]:
+        """Numbers of the felt cells whose centres lie in it; ValueError where there are none."""
         self.check()
         points = np.array(self.points_mm)
         if self.shape == "polygon":
@@ -66,6 +65,7 @@ class Region(BaseModel):
             half = np.abs(points[1] - points[0]) / 2
             offset = np.abs(cells.positions - points.mean(axis=0)) / np.where(half > 0, half, 1e-9)
             inside = offset.max(axis=1) <= 1 if self.shape == "rectangle" else (offset**2).sum(axis=1) <= 1
+        inside &= cells.felt.ravel()
         if not inside.any():
             raise ValueError("points_mm: no cell of the image has its centre in it")
         return np.flatnonzero(inside)
@@ -91,25 +91,19 @@ def measure_units(unit: Unit) -> dict[str, str]:
 class RegionMeter:
     """Measures a region (None: the whole array) in restored images; ValueError where no cell lies in it."""
 
-    def __init__(self, region: Region | None, cells: Cells) -> None:
-        self._cells = np.arange(len(cells.areas)) if region is None else region.cells(cells)
-        self._areas = cells.areas[self._cells]
+    def __init__(self, region: Region | None, cells: Raster) -> None:
+        self._cells = np.flatnonzero(cells.felt) if region is None else region.cells(cells)
+        self._area = cells.side**2
 
     def __call__(self, image: Image) -> Measures:
         """What an image holds in the region; nothing is known where too little of it is left."""
-        noise, areas = image.cell_noise, self._areas
         pressure = image.restored.reshape(-1)[self._cells]
-        if image.shares is not None and not self._is_known(image.shares):
+        if image.shares is not None and not is_known(image.shares.reshape(-1)[self._cells].mean(), summed=True):
             return NOT_KNOWN
-        if not (measured := ~np.isnan(pressure)).all():
-            pressure, areas = pressure[measured], areas[measured]
+        pressure = pressure[~np.isnan(pressure)]
         if not len(pressure):
             return NOT_KNOWN
-        force = float(pressure @ areas)
-        peak = float(pressure.max(initial=-inf))
-        contact = float(areas[pressure > CONTACT_SIGMAS * noise].sum())
-        return Measures(force * FORCE_SCALES[image.unit], force / float(areas.sum()), peak, contact)
-
-    def _is_known(self, shares: Floats32) -> bool:
-        """Whether enough of the region is left, by the shares of all cells."""
-        return bool(is_known(np.average(shares.reshape(-1)[self._cells], weights=self._areas), summed=True))
+        total = float(pressure.sum(dtype=float))
+        contact = self._area * np.count_nonzero(pressure > CONTACT_SIGMAS * image.cell_noise)
+        force = total * self._area * FORCE_SCALES[image.unit]
+        return Measures(force, total / len(pressure), float(pressure.max()), contact)

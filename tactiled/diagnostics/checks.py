@@ -48,9 +48,9 @@ class FrameChecks:
     def __init__(self, blur: Blur, floor_kpa: float = 0.0) -> None:
         """`floor_kpa` is the part of the noise that rounding to counts makes."""
         self._blur, self._floor = blur, floor_kpa
-        self._grid = len(blur.surface_shape) == 2 and min(blur.surface_shape) > 2
-        self._parts = _Parts(blur.frame_shape)
-        self._cells = _Parts(blur.surface_shape)
+        self._grid = len(blur.frame_shape) == 2 and min(blur.surface_shape) > 2
+        self._parts = _Parts(np.ones(blur.frame_shape, bool))
+        self._cells = _Parts(blur.taxel >= 0)
         self._max_below = _max_below(int(np.prod(blur.frame_shape)))
         self._to_modes = blur.modes.to_taxel_modes()
         self._weak = _weakest(blur.modes.gain)
@@ -134,10 +134,12 @@ class FrameChecks:
 
     def _even_offset(self, image: Floats32, noise: float) -> bool:
         """Whether every part of the image is pressed, and a quarter of the parts alike."""
-        means = np.sort(self._cells.sums(image) / self._cells.counts, axis=None)
+        counts = self._cells.counts
+        means = np.sort(self._cells.sums(image)[counts > 0] / counts[counts > 0], axis=None)
         lowest, quarter = float(means[0]), float(means[(means.size - 1) // 4])
         certain = -_lowest_sigmas(1) * noise / float(np.sqrt(self._parts.counts.min()))
-        return lowest > max(certain, MIN_OFFSET * float(image.max())) and quarter < EVEN_RATIO * lowest
+        peak = float(np.fmax.reduce(image, axis=None))
+        return lowest > max(certain, MIN_OFFSET * peak) and quarter < EVEN_RATIO * lowest
 
     def _moved_offset(self, completed: Floats32, predicted: Floats32, noise: float) -> bool:
         """Whether the image is stronger than its frame, and no quarter of the frame's parts is free.
@@ -167,17 +169,21 @@ class FrameChecks:
 
 
 class _Parts:
-    """The parts of an array that are summed each for itself: PARTS_PER_AXIS squared, of a layout as many."""
+    """The parts of an array that are summed each for itself: PARTS_PER_AXIS squared, also of a list of taxels."""
 
-    def __init__(self, shape: tuple[int, ...]) -> None:
-        parts = PARTS_PER_AXIS if len(shape) == 2 else PARTS_PER_AXIS**2
-        first = [np.linspace(0, n, min(n, parts), endpoint=False).astype(int) for n in shape]
-        self._rows, self._columns = first[0], first[1] if len(shape) == 2 else np.zeros(1, int)
-        self.counts = self.sums(np.ones(shape, np.float32))
+    def __init__(self, there: Mask) -> None:
+        """`there` are the values that count."""
+        parts = PARTS_PER_AXIS if there.ndim == 2 else PARTS_PER_AXIS**2
+        first = [np.linspace(0, n, min(n, parts), endpoint=False).astype(int) for n in there.shape]
+        self._rows, self._columns = first[0], first[1] if there.ndim == 2 else np.zeros(1, int)
+        self._out = None if there.all() else ~there
+        self.counts = self.sums(there)
 
     def sums(self, values: NDArray[Any]) -> Floats:
         """Sum over each part."""
         summed, values = np.empty((len(self._rows), len(self._columns))), np.ascontiguousarray(values, np.float32)
+        if self._out is not None:
+            values = np.where(self._out, np.float32(0), values)
         readings.part_sums(values.reshape(len(values), -1), self._rows, self._columns, summed)
         return summed
 

@@ -1,7 +1,7 @@
 """Images and messages in Foxglove's schemas; with `foxglove_live` all that knows its SDK, which is an extra.
 
-Grids are foxglove.Grid, layouts foxglove.PointCloud, true to scale in m: x along a row, y down a column, in the
-array's own frame of reference, which has the sensor's name.
+Images in rows and columns are foxglove.Grid, taxels that are no grid foxglove.PointCloud, true to scale in m: x
+along a row, y down a column, in the array's own frame of reference, which has the sensor's name.
 """
 
 import base64
@@ -133,17 +133,16 @@ class Topics:
     """One sensor's topics: /NAME/raw, /NAME/restored, /NAME/status and, where its skin feels it, /NAME/shear."""
 
     def __init__(self, plan: SensorPlan, unit: Unit) -> None:
-        name, array, shape = plan.name, plan.array, plan.blur.surface_shape
-        cell_mm = array.pitch * array.frame_shape[0] / shape[0]
+        name, array, cells = plan.name, plan.array, plan.cells
         taxels = array.frame_shape, array.positions, array.pitch
         self.unit = unit  # of pressure, which fields and keys name
         self._pressure = "pressure_counts" if self.unit == COUNTS else "pressure_kpa"
         pressure = self._pressure, "<f4"
         self._raw = _Surface(f"/{name}/raw", *taxels, pressure, ("flags", "u1"))
-        self._restored = _Surface(f"/{name}/restored", shape, plan.cells.positions, cell_mm, pressure)
+        self._restored = _Surface(f"/{name}/restored", cells.shape, cells.positions, cells.side, pressure)
         shear = ("shear_x_counts", "<f4"), ("shear_y_counts", "<f4")
         self._shear = _Surface(f"/{name}/shear", *taxels, *shear) if plan.shears else None
-        self._total = RegionMeter(None, plan.cells)
+        self._total = RegionMeter(None, cells)
         status = _json_topic(f"/{name}/status", "tactiled status", STATUS)
         self.topics = [self._raw.topic, self._restored.topic, status]
         self.topics += [self._shear.topic] if self._shear else []

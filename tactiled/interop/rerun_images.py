@@ -21,6 +21,7 @@ from tactiled.units import FORCE_UNITS, force_text
 CIRCLE = np.exp(1j * np.linspace(0, 2 * np.pi, 33))  # an outline's corners, x + i y
 CLASSES = [(0, "data", (0, 0, 0, 0)), (1, "no data", (70, 70, 70, 255))]  # of squares, and their colours (RGBA)
 OUTLINE = 255, 255, 255  # colour
+MAPS = "raw", "restored"
 SCALE_SHARE = 0.05  # of a map's height: room for its scale below it
 
 
@@ -38,17 +39,21 @@ class SensorLog:
 
     def __init__(self, stream: rr.RecordingStream, plan: SensorPlan) -> None:
         self._stream, self._plan = stream, plan
-        self._maps = {"raw": tiling(plan.array), "restored": plan.cells}
+        self._taxels = tiling(plan.array)
         self._total = RegionMeter(None, plan.cells)
         self._peak = 0.0  # the highest so far
         self._unknown: dict[str, NDArray[np.bool_]] = {}  # of each map's last picture
         self._warnings: dict[str, str] = {}  # texts of the last image's, by code
-        for name, cells in self._maps.items():
-            place = [*(cells.corner - cells.side / 2), 0.0]
-            self._log(name, rr.Transform3D(translation=place, scale=[cells.side, cells.side, 1.0]), static=True)
+        self._place("raw", self._taxels.corner, self._taxels.side)
+        self._place("restored", plan.cells.corner, plan.cells.side)
         self._log("", rr.AnnotationContext(CLASSES), static=True)
         for name, unit in _series(plan):
             self._log(name, rr.SeriesLines(names=f"{name} in {unit}"), static=True)
+
+    def _place(self, name: str, corner: NDArray[np.float64], side: float) -> None:
+        """Put a map where its first square has its centre; both in mm."""
+        place = [*(corner - side / 2), 0.0]
+        self._log(name, rr.Transform3D(translation=place, scale=[side, side, 1.0]), static=True)
 
     def _log(self, name: str, content: rr.AsComponents, static: bool = False) -> None:
         self._stream.log(f"/{self._plan.name}/{name}", content, static=static)
@@ -58,8 +63,8 @@ class SensorLog:
         self._stream.set_time("time", timestamp=image.time)
         self._stream.set_time("frame", sequence=image.sequence)
         total = self._total(image)
-        for name, values in (("raw", image.raw), ("restored", image.restored)):
-            self._add_map(name, self._maps[name].picture(values))
+        self._add_map("raw", self._taxels.picture(image.raw))
+        self._add_map("restored", image.restored)
         self._scale(max(float(np.nanmax(each, initial=0)) for each in (image.restored, image.raw)))
         self._log("contacts", self._outlines(contacts))
         self._log("force", rr.Scalars(total.force))
@@ -91,7 +96,7 @@ class SensorLog:
         if peak <= self._peak:
             return
         self._peak = peak
-        for name in self._maps:
+        for name in MAPS:
             self._log(name, rr.DepthImage.from_fields(depth_range=[0.0, peak]), static=True)
         (low, high), (_, bottom) = _ranges(self._plan)
         length_mm = 10.0 ** np.floor(np.log10(high - low))
@@ -117,8 +122,11 @@ def _series(plan: SensorPlan) -> tuple[tuple[str, str], ...]:
 
 def _ranges(plan: SensorPlan) -> NDArray[np.float64]:
     """(2, 2) mm, what of x and of y is in view: the surface, and the line of the scale below it."""
-    low, high = plan.cells.pieces.min(axis=0), plan.cells.pieces.max(axis=0)
-    ranges = np.stack([low, high], axis=1) + plan.cells.side / 2 * np.array([-1, 1])
+    maps = [(cells.pieces, cells.side) for cells in (tiling(plan.array),)]
+    maps += [(plan.cells.positions, plan.cells.side)]
+    low = np.min([places.min(axis=0) - side / 2 for places, side in maps], axis=0)
+    high = np.max([places.max(axis=0) + side / 2 for places, side in maps], axis=0)
+    ranges = np.stack([low, high], axis=1)
     ranges[1, 1] += SCALE_SHARE * np.ptp(ranges[1])
     return ranges
 
@@ -132,7 +140,7 @@ def blueprint(plans: Iterable[SensorPlan]) -> rrb.Blueprint:
 def _tab(plan: SensorPlan) -> rrb.Vertical:
     root, (x, y) = f"/{plan.name}", _ranges(plan)
     maps, bounds = [], rrb.VisualBounds2D(x_range=x, y_range=y)
-    for name in ("raw", "restored"):
+    for name in MAPS:
         contents = [f"{root}/{each}" for each in (f"{name}/**", "contacts", "scale")]
         title = f"{name}, {plan.unit}"
         maps.append(rrb.Spatial2DView(origin=root, contents=contents, name=title, visual_bounds=bounds))

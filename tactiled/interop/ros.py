@@ -61,8 +61,9 @@ class Topics:
         """What holds for all images: the layout and, where it is configured, the place."""
         x, y = self._plan.array.positions.T
         fields = {"header": self._header(time_s), "x_mm": x, "y_mm": y, "area_mm2": self._taxels.areas}
-        for name, cells in (("raw", self._taxels), ("restored", self._plan.cells)):
-            fields |= {f"{name}_corner_mm": cells.corner, f"{name}_pixel_mm": cells.side}
+        raw, restored = self._taxels, self._plan.cells
+        fields |= {"raw_corner_mm": raw.corner, "raw_pixel_mm": raw.side}
+        fields |= {"restored_corner_mm": restored.corner, "restored_pixel_mm": restored.side}
         yield self._message("layout", fields)
         if pose := self._plan.pose:
             translation = {axis: M_PER_MM * mm for axis, mm in zip("xyz", pose.origin_mm, strict=True)}
@@ -82,7 +83,7 @@ class Topics:
         stamped = {"header": self._header(image.time)}
         makers: dict[str, Callable[[], list[Fields]]] = {
             "raw": lambda: [stamped | _pixels(self._taxels.picture(image.raw))],
-            "restored": lambda: [stamped | _pixels(self._plan.cells.picture(image.restored))],
+            "restored": lambda: [stamped | _pixels(image.restored)],
             "shear": lambda: [stamped | self._shear_pixels(each) for each in (image.shear,) if each is not None],
             "tactile": lambda: [stamped | self._tactile_fields(image, contacts)],
             "regions": lambda: [stamped | _region_fields(image, regions)] if regions else [],

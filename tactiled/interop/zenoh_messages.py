@@ -123,10 +123,10 @@ class Geometry(Message):
         raw, restored = (self.raw.rows, self.raw.columns), (self.restored.rows, self.restored.columns)
         if raw != (self.shape or (1, len(self.positions_mm))) or prod(raw) != len(self.positions_mm):
             raise ValueError(f"raw: {raw[0]} x {raw[1]} cells do not fit {len(self.positions_mm)} positions")
-        refine = restored[0] // raw[0]
         if prod(restored) > MAX_SENSOR_CELLS:
             raise ValueError(f"restored: {restored[0]} x {restored[1]} cells: give {MAX_SENSOR_CELLS} at most")
-        if restored != (refine * raw[0], refine * raw[1]) or not 1 <= refine <= (MAX_REFINE if self.shape else 1):
+        refine, fits = restored[0] // raw[0], restored == tuple(restored[0] // raw[0] * each for each in raw)
+        if self.shape and not (fits and 1 <= refine <= MAX_REFINE):
             raise ValueError(
                 f"restored: {restored[0]} x {restored[1]} cells do not fit {raw[0]} x {raw[1]} taxels"
             )

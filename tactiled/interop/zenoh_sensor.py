@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from tactiled.contacts.detection import Contact
 from tactiled.errors import NoShearError, ReaderAnswerError, ReaderError
 from tactiled.frames import Image, Loss
-from tactiled.geometry import Array, tiling
+from tactiled.geometry import Array, raster, spacing
 from tactiled.interop import zenoh_messages as messages
 from tactiled.interop.zenoh_session import HEARTBEAT_S, LOST_AFTER_S, Answer, Head, Request
 from tactiled.runtime.contact_tracking import ContactTracking
@@ -195,17 +195,21 @@ class RemoteSensor:
             geometry.shape,
         )  # fmt: skip
         restored = geometry.restored
-        cells = tiling(self.array, restored.rows // geometry.raw.rows)
-        self.pieces = len(cells.pieces)
-        shape = (restored.rows, restored.columns)
-        self._shapes = {"raw": self.array.frame_shape, "restored": shape if self.array.shape else shape[1:]}
+        refine = round(spacing(self.array) / restored.cell_mm)
+        self.cells = raster(self.array, min(max(refine, 1), messages.MAX_REFINE))
+        if self.cells.shape != (restored.rows, restored.columns):
+            raise ValueError(
+                f"restored: {restored.rows} x {restored.columns} cells of {restored.cell_mm:g} mm do not fit it"
+            )
+        self.pieces = self.cells.taxel.size
+        self._shapes = {"raw": self.array.frame_shape, "restored": self.cells.shape}
         self._shapes |= {"shear": (2, *self.array.frame_shape)} if state.shear else {}
         self.hub, self.timings = Hub(), Timings()
         self.history = History(*history, self._shapes["raw"], self._shapes["restored"], state.shear)
         self._image_at: float | None = None  # s, monotonic: the newest image
         self._transit = 0.0, 0.0  # s, Unix: when that was made, by the reader's clock, and came, by ours
         self._detail: tuple[bytes | None, dict[str, Any]] = None, {}  # as it came, and as an image has it
-        self._tracking = ContactTracking(self.name, self.hub, self.array, cells)
+        self._tracking = ContactTracking(self.name, self.hub, self.array, self.cells)
         self._tracking.start()
 
     @property

@@ -14,7 +14,6 @@ from tactiled.restore import learned
 from tactiled.restore.deviation import deviation, raw_deviation
 from tactiled.restore.modes import Floats, Image
 from tactiled.restore.noise import detection_threshold
-from tactiled.restore.nonnegative import Nonnegative
 from tactiled.restore.points import LEARNED_SPREAD_CELLS, TOO_THIN, Points
 from tactiled.restore.scene import Restored, Scene, pressed_noise_gain
 from tactiled.restore.total_variation import TotalVariation
@@ -121,8 +120,8 @@ class Auto:
         return sqrt(below / max(above + below, 1e-30))
 
 
-def _sharp(scene: Scene, wiener: Wiener) -> learned.Learned | TotalVariation | Nonnegative:
+def _sharp(scene: Scene, wiener: Wiener) -> learned.Learned | TotalVariation:
     """Give what restores sharp contacts: the network where it was trained for, else what needs no training."""
     if learned.fits(scene.blur):
         return learned.Learned(scene, wiener)
-    return TotalVariation(scene) if len(scene.blur.surface_shape) == 2 else Nonnegative(scene)
+    return TotalVariation(scene)

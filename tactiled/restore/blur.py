@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache, cached_property
+from math import prod
 from typing import Any
 
 import numpy as np
@@ -24,11 +25,13 @@ Stencil = Callable[[int], Floats]  # k -> response (k (2R-1), k (2C-1)) to cells
 
 
 class Blur:
-    """H: surface image, (k R, k C) or (M,), to frame, (R, C) or (N,); both take leading batch axes."""
+    """H: surface image, of rows and columns, to frame, (R, C) or (N,); both take leading batch axes."""
 
     frame_shape: tuple[int, ...]
     surface_shape: tuple[int, ...]
+    refine: int  # cells along the distance between taxels
     cell_mm: float
+    taxel: NDArray[np.int64]  # of the surface's shape: the nearest taxel; -1 where none feels the cell
     forward: Apply  # H x
     adjoint: Apply  # H' y
     thickness_error: float = THICKNESS_ERROR  # relative standard deviation of the cover's thickness
@@ -60,20 +63,20 @@ class Blur:
 
 
 class MatrixBlur(Blur):
-    """The blur of any layout by its matrix (N, M)."""
+    """The blur of any layout by its matrix (N, R, C)."""
 
-    def __init__(self, matrix: Floats, cell_mm: float = 1.0) -> None:
-        self.frame_shape, self.surface_shape = (len(matrix),), (matrix.shape[1],)
-        self.cell_mm = cell_mm
-        self._matrix = matrix
-        self.forward, self.adjoint = _product(matrix.T), _product(matrix)
+    def __init__(self, matrix: Floats, cell_mm: float, refine: int, taxel: NDArray[np.int64]) -> None:
+        self.frame_shape, self.surface_shape = (len(matrix),), matrix.shape[1:]
+        self.cell_mm, self.refine, self.taxel = cell_mm, refine, taxel
+        self._matrix = matrix.reshape(len(matrix), -1)
+        forward, adjoint = _product(self._matrix.T), _product(self._matrix)
+        self.forward = lambda x: forward(x.reshape(*x.shape[:-2], -1))
+        self.adjoint = lambda y: adjoint(y).reshape(*y.shape[:-1], *self.surface_shape)
 
     def __reduce__(self) -> Any:
-        return (
-            MatrixBlur,
-            (self._matrix, self.cell_mm),
-            {"thickness_error": self.thickness_error, "wide": self.wide},
-        )
+        matrix = self._matrix.reshape(-1, *self.surface_shape)
+        state = {"thickness_error": self.thickness_error, "wide": self.wide}
+        return MatrixBlur, (matrix, self.cell_mm, self.refine, self.taxel), state
 
     @cached_property
     def modes(self) -> Modes:
@@ -89,22 +92,23 @@ class GridBlur(Blur):
 
     def __init__(self, stencil: Stencil, shape: tuple[int, int], refine: int = 1, cell_mm: float = 1.0) -> None:
         self.frame_shape, self.surface_shape = shape, (refine * shape[0], refine * shape[1])
-        self.cell_mm = cell_mm
-        self._stencil, self._shape, self._refine = cache(stencil), shape, refine
+        self.cell_mm, self.refine = cell_mm, refine
+        self.taxel = np.arange(prod(shape)).reshape(shape).repeat(refine, 0).repeat(refine, 1)
+        self._stencil, self._shape = cache(stencil), shape
         self._rows, self._columns = _smooth_parts(self._stencil, shape, refine)
         self.forward = _sum_of_products(self._rows, [B.T for B in self._columns])
         self.adjoint = _sum_of_products([A.T for A in self._rows], self._columns)
 
     def __reduce__(self) -> Any:
-        arguments = self._stencil.__wrapped__, self._shape, self._refine, self.cell_mm
+        arguments = self._stencil.__wrapped__, self._shape, self.refine, self.cell_mm
         state = {"thickness_error": self.thickness_error, "wide": self.wide}
         return GridBlur, arguments, state
 
     @cached_property
     def modes(self) -> Modes:
         """Products of the modes along either axis: a step's own, whose gain falls with frequency."""
-        step, (rows, columns) = self._stencil(self._refine), self._shape
-        marginals = _slide(step.sum(1), rows, self._refine), _slide(step.sum(0), columns, self._refine)
+        step, (rows, columns) = self._stencil(self.refine), self._shape
+        marginals = _slide(step.sum(1), rows, self.refine), _slide(step.sum(0), columns, self.refine)
         return grid_modes(self._rows, self._columns, *marginals)
 
     def forward_in_modes(self) -> SumOfProducts | None:
@@ -123,7 +127,7 @@ class GridBlur(Blur):
     @cached_property
     def aliasing(self) -> Aliasing | None:
         """What pressure finer than the grid does to the taxels; None where cells are finer."""
-        return Aliasing(self._stencil(FINE), self._shape, FINE) if self._refine == 1 else None
+        return Aliasing(self._stencil(FINE), self._shape, FINE) if self.refine == 1 else None
 
     def cut(self, shape: tuple[int, int]) -> "GridBlur":
         """Make the blur of fewer taxels, of `shape`, under the same cover."""
@@ -135,7 +139,7 @@ class GridBlur(Blur):
             rows, columns = (slice(start, start + n) for start, n in zip(starts, lengths, strict=True))
             return stencil[rows, columns]
 
-        part = GridBlur(middle, shape, self._refine, self.cell_mm)
+        part = GridBlur(middle, shape, self.refine, self.cell_mm)
         part.thickness_error = self.thickness_error
         return part
 
@@ -148,15 +152,6 @@ class Wide:
     own: tuple[slice, ...]  # the cells that are the array's
     felt: Floats | None = None
     """(N, R C): what each of its taxels feels of every cell; None: they are the taxels on its cells."""
-    shown: Floats | None = None
-    """(M, R C): each cell's share in those that are shown of a layout; None: they are its cells."""
-
-    @property
-    def covered(self) -> NDArray[np.bool_]:
-        """Which cells (R, C) are of the array's own image."""
-        there = np.zeros(self.blur.surface_shape, bool)
-        there[self.own] = True
-        return there if self.shown is None else (self.shown > 0).any(axis=0).reshape(there.shape)
 
     def forward(self, wide: Array) -> Array:
         """Give what the array's taxels feel of an image of all cells (R, C): (N,) or of a grid's shape."""

@@ -27,15 +27,14 @@ def deviation(scene: Scene, image: Image | None = None) -> Floats:
     variance[modes.head] = S * (1 - h * weight) ** 2 + weight**2 * (1 + S * model)
     variance *= scene.noise**2
     squares = [basis**2 for basis in modes.surface]
-    spread = np.sqrt(squares[0] @ variance if len(squares) == 1 else squares[0] @ variance @ squares[1].T)
+    spread = np.sqrt(squares[0] @ variance @ squares[1].T)
     if image is None:
         return np.asarray(spread, float)
     spread = np.hypot(spread, scene.thickness_error * _slope_in_thickness(scene, image))
     if scene.spotted:
         from scipy.ndimage import gaussian_filter  # which nothing else imports that starts a service
 
-        refine = max(round(image.shape[0] / scene.array.frame_shape[0]), 1)
-        about = gaussian_filter(np.abs(image), MISPLACED * refine) if image.ndim > 1 else np.abs(image)
+        about = gaussian_filter(np.abs(image), MISPLACED * scene.array.refine)
         spread = np.hypot(spread, MISPLACED * about)
     return np.asarray(spread, float)
 

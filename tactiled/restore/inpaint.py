@@ -28,7 +28,7 @@ class Inpainter:
     def __init__(self, scene: Scene) -> None:
         modes, self._scene = scene.modes, scene
         q0, p, level = SPECTRUM
-        q0 *= scene.array.frame_shape[0] / scene.array.surface_shape[0]
+        q0 /= scene.array.refine
         self._first = Spectrum(level, (1 + (modes.frequency / q0) ** 2) ** -p, q0, p)
         self._frame, self._reading = (np.empty(scene.array.frame_shape, np.float32) for _ in range(2))
         self._unknown, self._bounded, self._missing = np.zeros((3, *self._frame.shape), bool)

@@ -109,8 +109,7 @@ class Part(Kriging):
 
     def variances(self, spectrum: Spectrum) -> Floats:
         """Give the variance of a frame's coefficients in `bases`, noise included."""
-        v = self._shares[0] @ self._variance(spectrum)
-        return np.asarray(v if len(self._shares) == 1 else v @ self._shares[1].T)
+        return np.asarray(self._shares[0] @ self._variance(spectrum) @ self._shares[1].T)
 
     def amplification(self, spectrum: Spectrum) -> float:
         """Give the most by which the linear image amplifies what taxels feel."""
@@ -295,9 +294,8 @@ def _keep(kept: dict[Spectrum, NDArray[Any]], spectrum: Spectrum, made: NDArray[
 
 def _patterns(modes: Modes, taxels: NDArray[np.bool_]) -> Floats:
     """What each mode is (m, R C) at some taxels of the full grid."""
-    bases = [basis[at] for basis, at in zip(modes.taxel, np.nonzero(taxels), strict=True)]
-    patterns = bases[0] if len(bases) == 1 else bases[0][:, :, None] * bases[1][:, None, :]
-    return np.asarray(patterns.reshape(len(patterns), -1))
+    down, across = (basis[at] for basis, at in zip(modes.taxel, np.nonzero(taxels), strict=True))
+    return np.asarray((down[:, :, None] * across[:, None, :]).reshape(len(down), -1))
 
 
 def _cosines(n: int) -> Floats:

@@ -28,7 +28,6 @@ BY_HAND = "selected by hand"
 NO_DATA = "no taxel has data, and nothing is known"
 NO_POINTS = "not a few point loads; used NNLS"
 NOT_TRAINED = "the network was not trained for this cover, or so many cells: restored by nnls"
-NO_AREA = "total variation needs neighbours in a grid: restored by nnls"
 
 
 class Restorer:
@@ -192,10 +191,6 @@ def _learned(scene: Scene) -> Linear:
     return _Nonnegative(scene, "learned") if learned.fits(scene.blur) else _Nonnegative(scene, why=NOT_TRAINED)
 
 
-def _total_variation(scene: Scene) -> Linear:
-    return _Nonnegative(scene, "tv") if len(scene.blur.surface_shape) == 2 else _Nonnegative(scene, why=NO_AREA)
-
-
 class _Points(_Nonnegative):
     def __init__(self, scene: Scene) -> None:
         super().__init__(scene)
@@ -224,7 +219,7 @@ METHODS: dict[str, Callable[[Scene], Linear | Auto | Windowed]] = {
     "rl": partial(_RichardsonLucy, name="rl"),
     "rl-fast": partial(_RichardsonLucy, name="rl-fast"),
     "nnls": _Nonnegative,
-    "tv": _total_variation,
+    "tv": partial(_Nonnegative, name="tv"),
     "points": _Points,
     "learned": _learned,
 }

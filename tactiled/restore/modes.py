@@ -114,11 +114,9 @@ def grid_modes(rows: list[Floats], columns: list[Floats], stencil_rows: Floats, 
 
 
 def matrix_modes(matrix: Floats) -> Modes:
-    """Give the modes of any layout's matrix (N, M); Weyl's law, k ~ pi M q^2, stands in for a mode's frequency."""
-    U, gain, Vt = np.linalg.svd(matrix)
-    cells = matrix.shape[1]
-    frequency = np.sqrt(np.arange(cells) / (np.pi * cells))
-    return Modes(gain, frequency, (U[:, : len(gain)],), (Vt.T,))
+    """Give the modes that taxels of any layout feel, of its matrix (N, M); nothing is known of their frequency."""
+    U, gain, Vt = np.linalg.svd(matrix, full_matrices=False)
+    return Modes(gain, np.full(len(gain), np.nan), (U,), (Vt.T,))
 
 
 def _axis(marginal: Floats) -> tuple[Floats, Floats]:

@@ -73,7 +73,7 @@ class Points:
             self._fitter = Fitter(response, scene.noise, scene.cut)
         self._unexplained = np.empty(scene.size, np.float32)
         surface = blur.surface_shape if self._fitter else (1, 1)  # where nothing is fitted nothing is drawn
-        self._refine = k = blur.surface_shape[0] // blur.frame_shape[0]
+        self._refine = k = blur.refine
         self._widest = spread_cells * k**2  # cells
         margin = 2 * k  # both sides, a pitch each, for peaks on the border
         self._peeled = np.zeros([n + margin for n in surface], np.float32)

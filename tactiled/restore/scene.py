@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactiled.core import readings
-from tactiled.restore.blur import THICKNESS_ERROR, Blur, in_both_precisions
+from tactiled.restore.blur import THICKNESS_ERROR, Blur
 from tactiled.restore.kriging import Gaps, make
 from tactiled.restore.modes import Floats, Image
 from tactiled.restore.prior import CORNERS, Prior, Spectrum
@@ -55,8 +55,6 @@ class Scene:
     def __init__(self, array: Blur, noise: float) -> None:
         blur = array.wide.blur if array.wide else array
         self.array, self.blur, self.noise = array, blur, noise
-        shown = array.wide.shown if array.wide else None
-        self._shown = None if shown is None else in_both_precisions(shown)
         self.modes = blur.modes
         # The filters' constants allow for the rest.
         self.thickness_error = array.thickness_error
@@ -71,7 +69,7 @@ class Scene:
         self.expired: Callable[[], bool] = never  # whether the time for this frame's image is over
         self.cut_short = False  # whether that ended an iteration
         ones = np.zeros(blur.frame_shape, np.float32)
-        ones[array.wide.covered if array.wide else ...] = 1
+        ones[array.wide.own if array.wide else ...] = array.taxel >= 0 if array.wide else 1
         self.ones = self._analyse(ones, self._analyse.empty()).reshape(-1)
         analyse = self.modes.to_surface_modes()
         # How much of each cell's pressure the taxels feel.
@@ -117,16 +115,11 @@ class Scene:
 
     def inside(self, image: NDArray[Any]) -> NDArray[Any]:
         """Give the array's own part of an image (R, C) of the surface."""
-        if self.array.wide is None:
-            return image
-        return image[self.array.wide.own] if self._shown is None else self._shown[image.dtype] @ image.reshape(-1)
+        return image if self.array.wide is None else image[self.array.wide.own]
 
     def raw(self) -> Image:
         """Give the frame itself as an image of the array."""
-        y, shape = self.y, self.array.surface_shape
-        for axis, cells in enumerate(shape):
-            y = y if y.shape[axis] == cells else np.repeat(y, cells // y.shape[axis], axis)
-        return y
+        return self.y.reshape(-1)[self.array.taxel]
 
     def unfelt(self, spectrum: Spectrum, gaps: Gaps | None = None) -> Floats:
         """Standard deviation (kPa) of every cell of the linear image due to what no taxel reads."""

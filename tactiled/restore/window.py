@@ -37,7 +37,7 @@ class Windowed:
         self._scene, self._full = scene, Auto(scene)
         self._part_scene = Scene(blur.cut((SIDE, SIDE)), scene.noise)
         self._part = Auto(self._part_scene)
-        self._refine = blur.surface_shape[0] // blur.frame_shape[0]
+        self._refine = blur.refine
         self._crop, self._around = np.empty((SIDE, SIDE), np.float32), np.empty(blur.frame_shape, np.float32)
         self._own = blur.wide.own if blur.wide else tuple(slice(0, n) for n in blur.frame_shape)
         self._goes_on = blur.wide is not None

@@ -6,7 +6,7 @@ from contextlib import suppress
 
 from tactiled.contacts.detection import BEGIN_SIGMAS, Contact, Finder, Tracker
 from tactiled.frames import Image
-from tactiled.geometry import Array, Cells
+from tactiled.geometry import Array, Raster
 from tactiled.runtime.hub import Hub
 from tactiled.threads import join_started
 
@@ -17,7 +17,7 @@ ASKED_S = 5.0  # looks go on for so long after a request
 class ImageContacts:
     """Finds the contacts in the images of one array, one after the other, and tracks them."""
 
-    def __init__(self, array: Array, cells: Cells) -> None:
+    def __init__(self, array: Array, cells: Raster) -> None:
         self._finder, self._tracker = Finder(array, cells), Tracker(array.pitch)
 
     def __call__(self, image: Image, time_s: float) -> tuple[Contact, ...]:
@@ -31,7 +31,7 @@ class ImageContacts:
 class ContactTracking:
     """Looks for contacts on request, and in between on its own thread, so that none is lost between requests."""
 
-    def __init__(self, name: str, hub: Hub, array: Array, cells: Cells) -> None:
+    def __init__(self, name: str, hub: Hub, array: Array, cells: Raster) -> None:
         self._hub = hub
         self._find = ImageContacts(array, cells)
         self._looking = threading.Lock()

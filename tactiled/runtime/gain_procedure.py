@@ -5,8 +5,9 @@ from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
+from tactiled import surface
 from tactiled.arrays import Floats
-from tactiled.build import SensorPlan, make_blur
+from tactiled.build import SensorPlan
 from tactiled.calibrate.calibration_file import CalibrationFile
 from tactiled.calibrate.curves import Curves
 from tactiled.calibrate.frame_series import FrameSeries
@@ -127,7 +128,7 @@ class GainProcedure:
         if self.way == "uniform":
             return process.run(fit_steps, frames, values, limits, self._sensor.array)
         array = self._sensor.array
-        reach = reach_of(make_blur(plan.kernel, array, 1), array)
+        reach = reach_of(surface.make(plan.kernel, array, 1), array)
         return process.run(fit_weight, frames, max(values), array, limits, reach)
 
 

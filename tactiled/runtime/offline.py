@@ -126,7 +126,7 @@ class Offline:
         go_on: Callable[[], None] = lambda: None,
     ) -> None:
         self._frames, self._go_on, self._method = frames, go_on, method
-        self.shape = (len(frames), *plan.blur.surface_shape)  # of the images
+        self.shape = (len(frames), *plan.cells.shape)  # of the images
         gain = abs(plan.calibration.kpa_per_count)
         self.noise_kpa = measured_noise(frames, (gain, 1.0)) if noise_kpa is None else noise_kpa
         self._chain = Chain(plan, self.noise_kpa)

@@ -14,7 +14,7 @@ from tactiled.arrays import Floats, Floats32
 from tactiled.contacts.detection import BEGIN_SIGMAS
 from tactiled.contacts.regions import NOT_KNOWN, TOTAL, Measures, Region, RegionMeter
 from tactiled.frames import MISSING, Image
-from tactiled.geometry import Cells
+from tactiled.geometry import Raster
 from tactiled.units import Unit
 
 SERIES_S = 600.0
@@ -62,7 +62,7 @@ class Series(NamedTuple):
 class RegionSeries:
     """One region: its cells, its newest 10 minutes, and what has come together since it was reset."""
 
-    def __init__(self, name: str, region: Region, cells: Cells) -> None:
+    def __init__(self, name: str, region: Region, cells: Raster) -> None:
         self.name, self.region = name, region
         self.measure = RegionMeter(region, cells)
         slots = int(SERIES_S / MIN_GAP_S) + 1
@@ -155,7 +155,7 @@ class RegionSeries:
 class RegionMonitor:
     """The regions of one sensor."""
 
-    def __init__(self, cells: Callable[[], Cells]) -> None:
+    def __init__(self, cells: Callable[[], Raster]) -> None:
         self._cells = cells
         self.series: Mapping[str, RegionSeries] = {}  # by name of the region; replaced, never changed
         self._crossings: deque[Crossing] = deque(maxlen=MAX_CROSSINGS)

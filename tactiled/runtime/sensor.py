@@ -80,10 +80,11 @@ class Sensor:
         history: tuple[float, int] = (0.0, 0),  # s and bytes of images that are kept
     ) -> None:
         self.plan, self.name, self.codec, self.array = plan, plan.name, plan.codec, plan.array
+        self.cells = plan.cells
         self.pipeline, self.hub, self.timings = Pipeline(plan, start=run_on_thread), Hub(), Timings()
         self.frames: Publisher[RawFrame] = Publisher()  # every one in counts, on the bus's thread
         self.sends: Publisher[tuple[Image, float]] = Publisher()  # each to a client, and when (s): event loop
-        self.history = History(*history, plan.array.frame_shape, plan.blur.surface_shape, plan.shears)
+        self.history = History(*history, plan.array.frame_shape, plan.cells.shape, plan.shears)
         self.regions = RegionMonitor(lambda: self.plan.cells)
         self.clock: str | None = None  # that gives the frames' times; None before the bus was first open
         self.down: str | None = None  # why the bus is not there; the bus's thread sets and clears it

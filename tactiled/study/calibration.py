@@ -14,8 +14,8 @@ from typing import NamedTuple
 import numpy as np
 from rich.progress import track
 
+from tactiled import surface
 from tactiled.arrays import Flags, Floats, Floats32, Reals
-from tactiled.build import make_blur
 from tactiled.calibrate.blind import fit_blind
 from tactiled.calibrate.cover_fit import CoverFit
 from tactiled.calibrate.cover_result import fit_cover
@@ -219,7 +219,7 @@ def restored(skin: Calibrated, fit: CoverFit, random: np.random.Generator) -> It
     truth, array = skin.truth, skin.truth.skin.array
     scenes = make_skin("true", array, truth.true, truth.true)
     stacks = truth.configured, truth.configured.thickened(fit.factor), truth.true
-    blurs = [make_blur(cached(each), array, 1) for each in stacks]
+    blurs = [surface.make(cached(each), array, 1) for each in stacks]
     blurs[1].thickness_error = fit.thickness_error
     blurs[2].thickness_error = 0.0
     flags = np.zeros(array.frame_shape, np.uint8)

@@ -11,6 +11,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from numpy.typing import NDArray
 from rich.progress import track
 
 from tactiled.restore.methods import METHODS, Restorer, make
@@ -154,11 +155,13 @@ def floor(skin: Skin, clip: Clip) -> float:
     No linear filter in the blur's modes passes it in the mean; a non-negative method may.
     """
     modes = skin.blur.modes
-    power = np.square(into(modes.surface, clip.truths[0]))
+    truth = clip.truths[0]
+    power = np.square(into(modes.surface, truth))
     gain = np.zeros_like(power)
     gain[modes.head] = modes.gain
     residual = power * clip.sigma**2 / np.maximum(gain**2 * power + clip.sigma**2, 1e-300)
-    return float(np.sqrt(residual.sum() / power.sum()))
+    unseen = np.square(truth).sum() - power.sum()  # by the taxels of a layout
+    return float(np.sqrt((residual.sum() + unseen) / np.square(truth).sum()))
 
 
 def _play(run: Restore, clip: Clip) -> tuple[float, list[float]]:
@@ -173,14 +176,14 @@ def _play(run: Restore, clip: Clip) -> tuple[float, list[float]]:
 
 
 def _runs(skin: Skin, clip: Clip, noise: float, stops: tuple[int, ...]) -> dict[str, Restore]:
-    runs = {name: _own_run(make(name, skin.blur, clip.sigma)) for name in METHODS}
+    runs = {name: _own_run(make(name, skin.blur, clip.sigma), skin.felt) for name in METHODS}
     if skin.psf is not None:
         runs |= peers(skin.psf, clip.frames.shape[1:], noise, stops)
     return runs
 
 
-def _own_run(restorer: Restorer) -> Restore:
-    return lambda frame: restorer(frame).image
+def _own_run(restorer: Restorer, felt: NDArray[np.bool_]) -> Restore:
+    return lambda frame: restorer(frame).image * felt
 
 
 def write(folder: Path, panels: list[Panel], seed: int) -> None:

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tactiled import surface
 from tactiled.arrays import Floats, Floats32
-from tactiled.build import make_array, make_blur, make_stack
+from tactiled.build import make_array, make_stack
 from tactiled.config import load
 from tactiled.cover.kernel import cached, solve
 from tactiled.cover.stack import Layer, Stack
@@ -40,6 +41,11 @@ class Skin:
     blur: Blur
     psf: Floats | None  # odd; None where the array is no grid
 
+    @property
+    def felt(self) -> NDArray[np.bool_]:
+        """Which cells taxels feel: errors are of those."""
+        return np.asarray(self.blur.taxel >= 0)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Clip:
@@ -48,7 +54,7 @@ class Clip:
     scene: str
     sigma: float  # kPa, standard deviation of a taxel's noise
     frames: Frames
-    truths: Floats  # means over cells of the pitch
+    truths: Floats  # means over the restored cells
 
 
 @cache
@@ -105,10 +111,10 @@ def configured(path: Path, sensor: str | None = None) -> Skin:
 
 def make_skin(name: str, array: Array, true: Stack, believed: Stack, finer: int = FINER) -> Skin:
     """An array under the `true` cover, with `finer` cells along a taxel, restored with the `believed` one."""
-    blur = make_blur(cached(believed), array, 1)
+    blur = surface.make(cached(believed), array, 1 if array.shape else surface.cells_a_pitch(array, None))
     psf = None if array.shape is None else psf_of(blur)
-    surface = Surface(solve(true, "layered"), array, finer)
-    return Skin(name, believed.depth / array.pitch, array, believed, surface, blur, psf)
+    exact = Surface(solve(true, "layered"), array, finer)
+    return Skin(name, believed.depth / array.pitch, array, believed, exact, blur, psf)
 
 
 def psf_of(blur: Blur) -> Floats:
@@ -127,7 +133,7 @@ def draw(skin: Skin, scene: str, seed: list[int] | np.random.Generator, shift: f
 
 
 def sense(skin: Skin, fine: Floats) -> tuple[Floats, Floats]:
-    """The noiseless frame and the truth (mean of each cell of the pitch) of pressure on fine cells, kPa."""
+    """The noiseless frame and the truth (mean of each restored cell) of pressure on fine cells, kPa."""
     return skin.surface.sense(fine).reshape(skin.array.frame_shape), cell_means(skin, fine)
 
 
@@ -149,22 +155,21 @@ def touches(truth: Floats) -> bool:
 
 def into(bases: tuple[Floats, ...], image: Floats) -> Floats:
     """Coefficients of an image in the modes along its axes."""
-    first = bases[0].T @ image
-    return np.asarray(first if len(bases) == 1 else first @ bases[1])
+    return np.asarray(bases[0].T @ image.ravel() if len(bases) == 1 else bases[0].T @ image @ bases[1])
 
 
 def cell_means(skin: Skin, fine: Floats) -> Floats:
-    """Mean of fine cells over each restored cell: a square of the pitch around every taxel."""
+    """Mean of fine cells over each restored cell that taxels feel; 0 on the others."""
     if skin.array.shape is not None:
         rows, columns = skin.array.shape
         return np.asarray(fine.reshape(rows, len(fine) // rows, columns, -1).mean(axis=(1, 3)))
-    low, high = skin.array.positions.min(axis=0), skin.array.positions.max(axis=0)
-    places = skin.array.positions - (low + high) / 2
-    half = skin.array.pitch / 2
-    in_row: Any = np.abs(skin.surface.y[None, :, 0] - places[:, 1:]) <= half
-    in_column: Any = np.abs(skin.surface.x[None, 0] - places[:, :1]) <= half
-    cells = np.maximum(in_row.sum(1) * in_column.sum(1), 1)
-    return np.asarray(np.einsum("ni,ij,nj->n", in_row * 1.0, fine, in_column * 1.0, optimize=True) / cells)
+    rows, columns = skin.blur.surface_shape
+    half = skin.blur.cell_mm / 2
+    down, across = ((np.arange(n) - (n - 1) / 2) * 2 * half for n in (rows, columns))
+    in_row: Any = np.abs(skin.surface.y[None, :, 0] - down[:, None]) <= half
+    in_column: Any = np.abs(skin.surface.x[None, 0] - across[:, None]) <= half
+    cells = np.maximum(np.outer(in_row.sum(1), in_column.sum(1)), 1)
+    return np.asarray(in_row @ fine @ in_column.T / cells * skin.felt)
 
 
 def nrmse(image: NDArray[Any], truth: NDArray[Any]) -> float:

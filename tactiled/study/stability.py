@@ -97,7 +97,8 @@ def restore(sweep: str, value: float, case: Case) -> list[Row]:
         for earlier in case.before:
             restorer(earlier, case.flags)
         done = restorer(case.frame, case.flags)
-        images[name] = done.method, done.image.copy(), rms(restorer.deviation())
+        felt = case.skin.felt
+        images[name] = done.method, done.image * felt, rms(restorer.deviation()[felt])
         predicted[name] = restorer.predicted().copy()
     images |= {name: ("", image, np.nan) for name, image in _peers(case).items()}
     raw, flagged = nrmse(images["raw"][1], case.truth), bool(case.flags.any())

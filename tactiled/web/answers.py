@@ -14,6 +14,7 @@ from tactiled.calibrate.health import RULES, Fault
 from tactiled.contacts.detection import Contact
 from tactiled.cover.summary import summarise
 from tactiled.frames import Image
+from tactiled.geometry import tiling
 from tactiled.interop.zenoh_sensor import RemoteSensor
 from tactiled.restore.methods import METHODS
 from tactiled.runtime.sensor import Sensor, Status
@@ -77,11 +78,20 @@ def npy(values: NDArray[np.float32]) -> bytes:
     return out.getvalue()
 
 
-def pressures(sensor: SensorView, image: Image, kind: PressureKind) -> NDArray[np.float32]:
+def pressures(
+    sensor: SensorView, image: Image, kind: PressureKind, cells: schemas.ImageCells = "raster"
+) -> NDArray[np.float32]:
     """An image of this kind, in its unit."""
-    if kind == "deviation":
-        return sensor.deviation(image)
-    return image.raw if kind == "raw" else image.restored
+    if kind == "raw":
+        return image.raw
+    values = sensor.deviation(image) if kind == "deviation" else image.restored
+    return values if cells == "raster" else by_taxel(sensor, values)
+
+
+def by_taxel(sensor: SensorView, values: NDArray[np.float32]) -> NDArray[np.float32]:
+    """The mean of restored images (..., R, C) on each taxel, (..., *raw image)."""
+    means = sensor.cells.at_taxels(values, sensor.array.size)
+    return means.reshape(*values.shape[:-2], *sensor.array.frame_shape)
 
 
 def _message(image: Image, status: Status) -> dict[str, Any]:
@@ -99,7 +109,9 @@ def _restoration(image: Image) -> dict[str, Any]:
     return schemas.Restoration.shared(image) | {"noise_kpa": if_calibrated(image.noise, image.unit)}
 
 
-def frame(sensor: SensorView, image: Image, kind: PressureKind) -> schemas.Frame:
+def frame(
+    sensor: SensorView, image: Image, kind: PressureKind, cells: schemas.ImageCells = "raster"
+) -> schemas.Frame:
     """One image, with the sensor's present state."""
     status = sensor.status()
     return schemas.Frame(
@@ -107,7 +119,7 @@ def frame(sensor: SensorView, image: Image, kind: PressureKind) -> schemas.Frame
         **_restoration(image),
         kind=kind,
         age_s=status.age_s,
-        values=numbers(pressures(sensor, image, kind)),
+        values=numbers(pressures(sensor, image, kind, cells)),
         flags=image.flags.tolist(),
         method=image.method,
         loss=status.loss,
@@ -169,11 +181,12 @@ def kernel(sensor: Sensor) -> schemas.CoverKernel:
 
 def geometry(sensor: SensorView) -> schemas.Geometry:
     """Where a sensor's taxels and surface cells are."""
-    if isinstance(sensor, RemoteSensor):
-        return schemas.Geometry.model_validate(sensor.geometry.model_dump())
-    array, cell_mm = sensor.array, sensor.plan.cell_mm
+    array, cells = sensor.array, sensor.cells
     rows, columns = array.shape or (1, array.size)
-    refine = round(array.pitch / cell_mm) if array.shape else 1
+    if isinstance(sensor, RemoteSensor):
+        areas = sensor.geometry.areas_mm2
+    else:
+        areas = None if array.shape else tuple(tiling(array).areas.tolist())
     return schemas.Geometry(
         shape=list(array.shape) if array.shape else None,
         positions_mm=array.positions.tolist(),
@@ -181,8 +194,14 @@ def geometry(sensor: SensorView) -> schemas.Geometry:
         aperture=array.aperture,
         aperture_mm=array.width,
         raw=schemas.ImageShape(rows=rows, columns=columns, cell_mm=array.pitch),
-        restored=schemas.ImageShape(rows=rows * refine, columns=columns * refine, cell_mm=cell_mm),
-        areas_mm2=None if array.shape else sensor.plan.cells.areas.tolist(),
+        restored=schemas.RestoredShape(
+            rows=cells.shape[0],
+            columns=cells.shape[1],
+            cell_mm=cells.side,
+            origin_mm=(float(cells.corner[0]), float(cells.corner[1])),
+            mask=None if cells.felt.all() else cells.felt.tolist(),
+        ),
+        areas_mm2=None if areas is None else list(areas),
     )
 
 

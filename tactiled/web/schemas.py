@@ -11,11 +11,16 @@ from tactiled.restore.methods import METHODS
 from tactiled.runtime.sensor import State
 
 PressureKind = Literal["raw", "restored", "deviation"]
+ImageCells = Literal["raster", "taxels"]
+IMAGE_CELLS = "cells of a restored image: its raster, or one value a taxel, the mean of the taxel's cells"
 SensorName = Annotated[str, Field(description="as in the configuration", examples=["palm"])]
 MethodName = Annotated[str, Field(json_schema_extra={"enum": list(METHODS)})]
 Values = Annotated[
     list[list[float | None]] | list[float | None],
-    Field(description="rows of a grid, or one list; null: no data", examples=[[[0.0, 12.5], [3.25, None]]]),
+    Field(
+        description="rows of a raster, or one list of taxels; null: no data",
+        examples=[[[0.0, 12.5], [3.25, None]]],
+    ),
 ]
 Reading = Annotated[float, Field(ge=-1e30, le=1e30, allow_inf_nan=False)]
 MAX_TIME_S = 4e9  # Unix time: the year 2096
@@ -275,6 +280,15 @@ class ImageShape(Schema):
     cell_mm: float = Field(examples=[1.0])
 
 
+class RestoredShape(ImageShape):
+    """Cells of the restored image: a raster over the taxels."""
+
+    origin_mm: tuple[float, float] = Field(description="x and y of the first cell's centre", examples=[[0.0, 0.0]])
+    mask: list[list[bool]] | None = Field(
+        description="cells that taxels feel; the others have no data; null: all", examples=[None]
+    )
+
+
 class Geometry(Schema):
     """Where the taxels are: x to the right, y down, mm."""
 
@@ -284,7 +298,7 @@ class Geometry(Schema):
     aperture: Literal["square", "round"]
     aperture_mm: float = Field(description="side, or diameter", examples=[0.8])
     raw: ImageShape
-    restored: ImageShape
+    restored: RestoredShape
     areas_mm2: list[float] | None = Field(description="of each taxel, where the layout is no grid")
 
 

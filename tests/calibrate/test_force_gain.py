@@ -5,7 +5,7 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 
-from tactiled.build import make_blur
+from tactiled import surface
 from tactiled.calibrate.force_gain import fit_force, fit_weight, reach_of
 from tactiled.calibrate.means import Rails
 from tactiled.calibrate.reference import Reference
@@ -121,7 +121,7 @@ def laid(array, places, spread=0.0, thickness=2.5):
     skin = simulated_skin(stack, array, np.random.default_rng(5), noise_kpa=0.5, spread=spread)
     loads = [100 * Disc(*place, 1.0).readings(array, skin.cover) for place in places]
     kpa = np.concatenate([np.zeros((200, array.size)), *(each * HOLD for each in loads)])
-    reach = reach_of(make_blur(skin.cover, array, 1), array)
+    reach = reach_of(surface.make(skin.cover, array, 1), array)
     return skin.series(kpa, np.arange(len(kpa)) / RATE_HZ, np.random.default_rng(6)), reach
 
 

@@ -224,8 +224,12 @@ def test_a_layout_without_a_grid(tmp_path):
     hand.write_text(GRASP)
     npz = np.load(exported(log, hand, tmp_path / "a.npz"))
     assert npz["raw"].shape == (15, 60)
-    assert npz["restored"].shape == (15, len(npz["cells_mm"]))
-    assert json.loads(npz["provenance"].item())["warnings"][0]["code"] == "uncalibrated"
+    provenance = json.loads(npz["provenance"].item())
+    assert provenance["warnings"][0]["code"] == "uncalibrated"
+    assert npz["restored"].shape == (15, 9, 46)
+    assert (np.isfinite(npz["restored"]) == np.array(provenance["mask"])).all()
+    np.testing.assert_allclose(provenance["origin_mm"], npz["cells_mm"][0])
+    np.testing.assert_allclose(npz["cells_mm"][47] - npz["cells_mm"][0], provenance["cell_mm"])
     got, _ = topics(exported(log, hand, tmp_path / "a.mcap"))
     clouds = [each.decoded_message for each in got["/hand/raw"] if each.schema.name == "foxglove.PointCloud"]
     assert len(clouds) == 15

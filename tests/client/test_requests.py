@@ -52,7 +52,7 @@ def test_a_snapshot_is_the_newest_image_with_its_force(images, rig, url):
     np.testing.assert_array_equal(image.raw, images[-1].raw)
     np.testing.assert_array_equal(image.restored, images[-1].restored)
     assert (image.sequence, image.status["state"], image.shear) == (images[-1].sequence, "live", None)
-    force = images[-1].restored.sum() * rig.sensor.plan.cell_mm**2 * 1e-3
+    force = images[-1].restored.sum() * rig.sensor.plan.cells.side**2 * 1e-3
     assert image.force == pytest.approx(force, rel=1e-5)
 
 

@@ -57,7 +57,10 @@ def test_images_are_arrays_in_order_with_the_status(playing, url):
     other = run_apart(afirst(url))
     assert other.force == pytest.approx(1e-3 * other.restored.sum(), rel=1e-6)
     holes = replace(image, restored=np.where(np.arange(64).reshape(8, 8) < 16, np.nan, image.restored))
-    assert math.isnan(total_force(holes, {"areas_mm2": None, "restored": {"cell_mm": 1.0}}))
+    assert math.isnan(total_force(holes, {"restored": {"cell_mm": 1.0}}))
+    mask = np.isfinite(holes.restored)  # of a layout, whose taxels feel no more
+    masked = total_force(holes, {"restored": {"cell_mm": 2.0, "mask": mask.tolist()}})
+    assert masked == pytest.approx(4e-3 * image.restored[mask].sum())
     sequences = [each.sequence for each in images]
     assert sequences == sorted(set(sequences))
     assert (image.status["sensor"], image.status["state"], image.status["method"]) == ("palm", "live", "wiener")

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tactiled.contacts.detection import MAX_PEAKS, Contact, Finder, Tracker
-from tactiled.geometry import Cells, grid, layout, tiling
+from tactiled.geometry import grid, layout, raster
 from tactiled.restore.methods import make
 from tactiled.simulate.array import Surface
 from tests.plans import plan
@@ -15,7 +15,7 @@ ARRAY = grid(SIDE, SIDE, 1.0, 0.8)
 
 @pytest.fixture(scope="module")
 def find():
-    return Finder(ARRAY, tiling(ARRAY))
+    return Finder(ARRAY, raster(ARRAY, 1))
 
 
 def discs(x, y, *places):
@@ -85,7 +85,7 @@ def test_noise_is_no_contact(find, noise):
 def test_of_more_peaks_than_any_skin_shows_the_highest_are_contacts():
     array, image = grid(64, 64, 1.0), np.zeros((64, 64), np.float32)
     image[::2, ::2] = np.random.default_rng(0).uniform(50.0, 100.0, (32, 32))
-    contacts = Finder(array, tiling(array))(image, 0.01)
+    contacts = Finder(array, raster(array, 1))(image, 0.01)
     assert len(contacts) == MAX_PEAKS
     assert min(each.peak for each in contacts) == np.sort(image, axis=None)[-MAX_PEAKS]
 
@@ -93,7 +93,7 @@ def test_of_more_peaks_than_any_skin_shows_the_highest_are_contacts():
 def test_axes_and_angle_on_refined_cells():
     y, x = np.mgrid[: 2 * SIDE, : 2 * SIDE] * 0.5 - 0.25
     u, v = (x - 8) * np.cos(0.5) + (y - 9) * np.sin(0.5), (y - 9) * np.cos(0.5) - (x - 8) * np.sin(0.5)
-    (contact,) = Finder(ARRAY, tiling(ARRAY, 2))((100 * np.exp(-(u**2) / 18 - v**2 / 2)).astype(np.float32), 0.1)
+    (contact,) = Finder(ARRAY, raster(ARRAY, 2))((100 * np.exp(-(u**2) / 18 - v**2 / 2)).astype(np.float32), 0.1)
     assert (contact.x_mm, contact.y_mm) == pytest.approx((8, 9), abs=0.02)
     assert contact.angle_rad == pytest.approx(0.5, abs=0.02)
     assert 2 < contact.major_mm / contact.minor_mm < 3.5
@@ -106,7 +106,7 @@ def test_axes_and_angle_on_refined_cells():
 def test_a_contact_at_the_border_is_cut_off_where_the_cover_goes_on(row, beyond, expected):
     image = np.zeros((SIDE, SIDE), np.float32)
     image[row : row + 2, 6:9] = 50
-    (contact,) = Finder(replace(ARRAY, beyond=beyond), tiling(ARRAY))(image, 0.1)
+    (contact,) = Finder(replace(ARRAY, beyond=beyond), raster(ARRAY, 1))(image, 0.1)
     assert contact.cut_off == expected
 
 
@@ -125,19 +125,19 @@ def test_what_rings_below_zero_around_a_contact_does_not_shrink_it(find):
 def test_axes_of_an_even_block_are_its_sides(rows, columns, refine):
     image = np.zeros((refine * SIDE, refine * SIDE), np.float32)
     image[8 : 8 + rows * refine, 6 : 6 + columns * refine] = 50
-    (contact,) = Finder(ARRAY, tiling(ARRAY, refine))(image, 0.1)
+    (contact,) = Finder(ARRAY, raster(ARRAY, refine))(image, 0.1)
     width, height = sorted((rows, columns))
     assert (contact.minor_mm, contact.major_mm) == pytest.approx((width / 12**0.5, height / 12**0.5))
 
 
-def test_contacts_on_a_layout_that_is_no_grid():
-    ring = np.array([(3 * np.cos(t), 3 * np.sin(t)) for t in np.linspace(0, 2 * np.pi, 7)[:-1]])
-    array = layout(np.concatenate([ring, ring + np.array([20, 0])]), 1.0)
-    image = np.zeros(12, np.float32)
-    image[[0, 1, 8]] = 10, 10, 30
-    strong, weak = Finder(array, Cells(array.positions, 3.0, np.arange(12)))(image, 0.1)
-    assert (strong.x_mm, strong.force) == pytest.approx((18.5, 30 * 9e-3))
-    assert (weak.x_mm, weak.area_mm2) == pytest.approx((2.25, 18))
+def test_a_gap_between_the_parts_of_a_layout_parts_contacts_and_is_in_none():
+    x, y = np.meshgrid([0, 1, 2, 3, 6, 7, 8, 9], np.arange(6))
+    array = layout(np.column_stack([x.ravel(), y.ravel()]), 1.0)
+    cells = raster(array, 2)
+    image = np.full(cells.shape, 10, np.float32)
+    for contact, centre in zip(by_x(Finder(array, cells)(image, 0.1)), (1.5, 7.5), strict=True):
+        assert (contact.x_mm, contact.area_mm2, contact.force) == pytest.approx((centre, 24, 10 * 24e-3))
+        assert contact.cut_off
 
 
 @pytest.mark.parametrize("place", [(10.4, 5.8, 9), (17.6, 16.2, 1.5)])
@@ -165,14 +165,15 @@ def hexagons(pitch=2.0, rows=12, columns=12):
 
 @pytest.mark.parametrize("array", [hexagons(), grid(12, 12, 2.0, 1.6)], ids=["hexagons", "grid"])
 def test_two_contacts_with_a_dip_between_are_two_on_every_layout(array):
-    find = Finder(array, tiling(array))
-    image = bumps(array.positions, (6.3, 9.6, 80), (13.1, 10.2, 70), width=1.5)
-    contacts = by_x(find(image.reshape(array.frame_shape).astype(np.float32), 0.1))
+    cells = raster(array, 2)
+    find = Finder(array, cells)
+    image = bumps(cells.positions, (6.3, 9.6, 80), (13.1, 10.2, 70), width=1.5)
+    contacts = by_x(find(image.reshape(cells.shape).astype(np.float32), 0.1))
     assert [each.x_mm for each in contacts] == pytest.approx([6.3, 13.1], abs=0.2)
     forces = [kpa * 2 * np.pi * 1.5**2 * 1e-3 for kpa in (80, 70)]
     assert [each.force for each in contacts] == pytest.approx(forces, rel=0.05)  # with their skirts
-    image = bumps(array.positions, (8.3, 9.6, 80), (10.1, 10.2, 70), width=1.5)
-    assert len(find(image.reshape(array.frame_shape).astype(np.float32), 0.1)) == 1
+    image = bumps(cells.positions, (8.3, 9.6, 80), (10.1, 10.2, 70), width=1.5)
+    assert len(find(image.reshape(cells.shape).astype(np.float32), 0.1)) == 1
 
 
 def at(x, y=5.0, kpa=10.0):

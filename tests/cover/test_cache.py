@@ -8,7 +8,8 @@ from unittest.mock import Mock
 import numpy as np
 import pytest
 
-from tactiled.build import make_array, make_blur
+from tactiled import surface
+from tactiled.build import make_array
 from tactiled.config import parse
 from tactiled.config.example import EXAMPLE, GRASP
 from tactiled.cover import kernel as kernels
@@ -17,7 +18,7 @@ from tactiled.cover.cache import cached_table
 from tactiled.cover.kernel import solve
 from tactiled.cover.operator import cached, stencil, tiled
 from tactiled.cover.stack import Layer, Profile, Stack
-from tactiled.geometry import grid, layout, tiling
+from tactiled.geometry import grid, layout, raster, tiling
 
 TABLE = np.arange(6.0).reshape(2, 3) / 7
 
@@ -166,8 +167,9 @@ def test_an_operator_is_built_once_on_a_machine(text, paper, tmp_path, monkeypat
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     (sensor,) = parse(text, "example").sensor.values()
     array = make_array(sensor)
-    built = partial(make_blur, solve(paper(1.0, 0.6, 0.48), "layered"), array, sensor.refine)
-    pressure = np.random.default_rng(1).random(array.frame_shape)
+    refine = surface.cells_a_pitch(array, None)
+    built = partial(surface.make, solve(paper(1.0, 0.6, 0.48), "layered"), array, refine)
+    pressure = np.random.default_rng(1).random(raster(array, refine).shape)
     first = built().forward(pressure)
     monkeypatch.setattr(operator, "_response", Mock(side_effect=AssertionError("computed again")))
     np.testing.assert_array_equal(built().forward(pressure), first)

@@ -24,11 +24,9 @@ def pressed():
     def make(blur, sigma=0.5, seed=0):
         random = np.random.default_rng(seed)
         truth = np.zeros(blur.surface_shape)
-        grid_like = truth.ndim == 2
-        view = truth if grid_like else truth.reshape(int(np.sqrt(truth.size)), -1)
-        rows, columns = view.shape
-        view[rows // 4 : rows // 2, columns // 4 : columns // 2] = 80.0
-        view[2 * rows // 3 : 2 * rows // 3 + 2, 2 * columns // 3 : 2 * columns // 3 + 2] = 120.0
+        rows, columns = truth.shape
+        truth[rows // 4 : rows // 2, columns // 4 : columns // 2] = 80.0
+        truth[2 * rows // 3 : 2 * rows // 3 + 2, 2 * columns // 3 : 2 * columns // 3 + 2] = 120.0
         clean = blur.forward(truth)
         return (clean + random.normal(0, sigma, clean.shape)).astype(np.float32), truth
 

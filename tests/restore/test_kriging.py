@@ -24,8 +24,9 @@ def normal(scene):
     modes, wide = scene.modes, scene.array.wide
     V, U = np.kron(*modes.surface), np.kron(*modes.taxel)
     if wide.felt is None:
-        there = wide.covered.ravel()
-        felt = (U * modes.gain.ravel())[there] @ V.T
+        there = np.zeros([len(basis) for basis in modes.taxel], bool)
+        there[wide.own] = True
+        felt = (U * modes.gain.ravel())[there.ravel()] @ V.T
     else:
         felt = wide.felt
     return felt, (V * scene.spectrum.ratio.ravel()) @ V.T

@@ -104,8 +104,8 @@ def test_what_lost_messages_leave_unknown_is_no_zero(make, method):
     image = pipeline.process(frame(flags=flags))
     np.testing.assert_array_equal(np.isnan(image.restored).all(axis=1), [True] * 5 + [False] * 3)
     np.testing.assert_array_equal(np.isnan(pipeline.deviation(image)), np.isnan(image.restored))
-    assert np.isnan(RegionMeter(None, tiling(pipeline._plan.array))(image)).all()
-    assert not np.isnan(RegionMeter(FREE, tiling(pipeline._plan.array))(image)).any()
+    assert np.isnan(RegionMeter(None, pipeline._plan.cells)(image)).all()
+    assert not np.isnan(RegionMeter(FREE, pipeline._plan.cells)(image)).any()
 
 
 def test_a_frame_without_data_says_so_and_is_neither_noise_nor_zero(make):

@@ -19,7 +19,10 @@ def test_another_process_restores_with_the_same_blur(text):
     ((name, sensor),) = parse(text).sensor.items()
     plan = sensor_plan(name, sensor)
     plan.blur.thickness_error = 0.07
-    blur, image = pickle.loads(pickle.dumps(plan)).blur, np.arange(len(plan.cells.areas), dtype=np.float32)
+    blur, image = (
+        pickle.loads(pickle.dumps(plan)).blur,
+        np.arange(plan.cells.taxel.size, dtype=np.float32).reshape(plan.cells.shape),
+    )
     image = image.reshape(plan.blur.surface_shape)
     np.testing.assert_array_equal(blur.forward(image), plan.blur.forward(image))
     assert blur.thickness_error == 0.07

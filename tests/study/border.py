@@ -9,11 +9,11 @@ import numpy as np
 import typer
 from numpy.typing import NDArray
 
-from tactiled.build import make_blur
+from tactiled import surface
 from tactiled.cli.bench import print_table
 from tactiled.cover.kernel import cached, solve
 from tactiled.cover.stack import Layer, Stack
-from tactiled.geometry import Array, grid, layout, tiling
+from tactiled.geometry import Array, grid, layout, raster
 from tactiled.restore.methods import make
 from tactiled.simulate.array import Surface
 from tactiled.study.skin import nrmse
@@ -121,43 +121,44 @@ def case(name: str, surface: Surface, where: str, refine: int, random: np.random
 
 def _means(array: Array, surface: Surface, fine: Floats, middle: Floats, refine: int) -> Floats:
     """Means of fine cells over those that are restored."""
-    cells = tiling(array, refine)
-    if array.shape is not None:  # its cells are finer: each is made of the fine ones within
-        parts = FINER // refine
-        y, x = np.mgrid[:parts, :parts] - (parts - 1) / 2
-        offsets = np.column_stack([x.ravel(), y.ravel()]) / FINER
-        places = (cells.positions[:, None] + offsets).reshape(-1, 2)
-        owner = np.repeat(np.arange(len(cells.positions)), parts**2)
-    else:
-        places, owner = cells.pieces, cells.owner
-    first, second = (np.array([surface.x.flat[n], surface.y.flat[n]]) for n in (0, 1))
-    column, row = np.rint((places - middle - first) / (second - first).max()).astype(int).T
-    means = np.bincount(owner, fine[row, column]) / np.bincount(owner)
-    return means.reshape([refine * n for n in array.frame_shape]) if array.shape else means
+    cells = raster(array, refine)
+    (rows, columns), offset = cells.shape, middle - cells.corner
+    column, row = (
+        np.rint((each + at) / cells.side) for each, at in zip((surface.x, surface.y), offset, strict=True)
+    )
+    inside = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
+    cell = (row * columns + column)[inside].astype(int)
+    means = np.bincount(cell, fine[inside], cells.taxel.size) / np.bincount(cell, minlength=cells.taxel.size)
+    return means.reshape(cells.shape)
 
 
 def border(
     presses: Annotated[int, typer.Option(help="Of each array and place.")] = 48,
     seed: Annotated[int, typer.Option(help="Random seed.")] = 1,
-    refine: Annotated[int, typer.Option(help="Cells along a taxel, on grids.")] = 1,
+    refine: Annotated[int, typer.Option(help="Cells along the distance between taxels.")] = 1,
     where: Annotated[Literal["anywhere", "border", "cut off"] | None, typer.Option(help="Left out: each.")] = None,
     method: Annotated[str, typer.Option(help="Method.")] = "auto",
 ) -> None:
     """Measure what is restored of presses that go on beyond the array."""
     rows = []
-    for place, name in product([where] if where else WHERE, [*GRIDS, *(LAYOUTS if refine == 1 else ())]):
+    for place, name in product([where] if where else WHERE, [*GRIDS, *LAYOUTS]):
         random, errors, within, methods = np.random.default_rng([seed, WHERE.index(place)]), [], [], Counter()
         for n in range(presses):
             thickness, material = THICKNESSES[n % 4], n // 4 % 2
             surface, _ = skin(name, thickness, material)
             press = case(name, surface, place, refine, random)
-            restorer = _restorer(name, thickness, material, refine, method)
-            done = restorer(press.frame / np.float32(press.sigma))
-            image, spread = done.image * press.sigma, restorer.deviation() * press.sigma
-            raw = np.kron(press.frame, np.ones((refine,) * press.frame.ndim))
-            errors.append((nrmse(raw, press.truth), nrmse(image, press.truth), thickness))
-            pressed = press.truth > PRESSED * press.truth.max()
-            within.append(np.mean((np.abs(image - press.truth) <= 2 * spread)[pressed]))
+            restorer, taxel = _restorer(name, thickness, material, refine, method)
+            done, felt = restorer(press.frame / np.float32(press.sigma)), taxel >= 0
+            each = (
+                done.image * press.sigma,
+                restorer.deviation() * press.sigma,
+                press.truth,
+                press.frame.ravel()[taxel],
+            )
+            image, spread, truth, raw = (values[felt] for values in each)
+            errors.append((nrmse(raw, truth), nrmse(image, truth), thickness))
+            pressed = truth > PRESSED * truth.max()
+            within.append(np.mean((np.abs(image - truth) <= 2 * spread)[pressed]))
             methods[done.method] += 1
         table = np.array(errors)
         by_thickness = (f"{table[table[:, 2] == each, 1].mean():.3f}" for each in THICKNESSES)
@@ -171,5 +172,6 @@ def border(
 
 @cache
 def _restorer(name, thickness, material, refine, method):
-    """For frames over their noise."""
-    return make(method, make_blur(cached(skin(name, thickness, material)[1]), taxels(name), refine), 1.0)
+    """For frames over their noise; with the taxel of each cell."""
+    blur = surface.make(cached(skin(name, thickness, material)[1]), taxels(name), refine)
+    return make(method, blur, 1.0), blur.taxel

@@ -11,7 +11,7 @@ import numpy as np
 
 from tactiled.cli.bench import print_table
 from tactiled.contacts.detection import Finder
-from tactiled.geometry import tiling
+from tactiled.geometry import raster
 from tactiled.restore.methods import make
 from tactiled.simulate.array import FINER
 from tactiled.study.results import machine
@@ -48,7 +48,7 @@ def press(skin, discs, noise, random):
     done = make("auto", skin.blur, sigma)(frame)
     total = pressure.sum()
     centre = np.array([(pressure * x).sum(), (pressure * y).sum()]) / total + (SIDE - 1) / 2
-    find = Finder(skin.array, tiling(skin.array))
+    find = Finder(skin.array, raster(skin.array, 1))
     restored = find(done.image, sigma * max(done.noise_gain, 1.0))
     return centre, total * skin.surface.grain**2 * 1e-3, (find(frame, sigma), restored)
 

@@ -15,7 +15,7 @@ function fakeCanvas() {
 
 const plane = new Plane({
   shape: [1, 3], positions_mm: [[0, 0], [10, 0], [20, 0]], pitch_mm: 10, aperture: "square", aperture_mm: 10,
-  raw: { rows: 1, columns: 3 }, restored: { rows: 1, columns: 3, cell_mm: 10 }, areas_mm2: null,
+  raw: { rows: 1, columns: 3 }, restored: { rows: 1, columns: 3, cell_mm: 10, origin_mm: [0, 0], mask: null }, areas_mm2: null,
 });
 
 /** Draws arrows at a zoom, CSS px per mm: middle and vector of each, CSS px, and what the key says. */

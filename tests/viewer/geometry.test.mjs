@@ -15,22 +15,23 @@ function grid(rows, columns) {
     2 * Math.floor(i / columns)]);
   return new Plane({
     shape: [rows, columns], positions_mm, pitch_mm: 2, aperture: "square", aperture_mm: 2, raw: { rows, columns },
-    restored: { rows, columns, cell_mm: 2 }, areas_mm2: null,
+    restored: { rows, columns, cell_mm: 2, origin_mm: [0, 0], mask: null }, areas_mm2: null,
   });
 }
 
 const CORNERS = [[0, 0], [3, 0], [1.5, 2], [4.5, 2.5]];
+const MASK = [[true, true, true, false], [true, true, true, true], [false, true, true, true]];
 const scattered = () => new Plane({
   shape: null, positions_mm: CORNERS, pitch_mm: 1.5, aperture: "round", aperture_mm: 1.5, raw: { rows: 1,
     columns: 4 },
-  restored: { rows: 1, columns: 4, cell_mm: 1.5 }, areas_mm2: [1, 2, 3, 4],
+  restored: { rows: 3, columns: 4, cell_mm: 1.5, origin_mm: [0, -0.25], mask: MASK }, areas_mm2: [1, 2, 3, 4],
 });
 
-test("a grid reaches half a pitch around its taxels, another layout a whole one", () => {
+test("a plane is as large as its restored image", () => {
   const { left, top, width, height } = grid(2, 3);
   assert.deepEqual([left, top, width, height], [-1, -1, 6, 4]);
   const other = scattered();
-  assert.deepEqual([other.left, other.top, other.width, other.height], [-1.5, -1.5, 7.5, 5.5]);
+  assert.deepEqual([other.left, other.top, other.width, other.height], [-0.75, -1, 6, 4.5]);
 });
 
 test("a place belongs to the cell around it, and to none off the array", () => {
@@ -41,6 +42,7 @@ test("a place belongs to the cell around it, and to none off the array", () => {
   const other = scattered();
   assert.equal(other.find(other.raw, 3.5, 0.5), 1);
   assert.equal(other.find(other.raw, 0, 2.5), -1);
+  assert.deepEqual([[0, 0], [1.6, 1.4], [4.5, 0], [0, 3]].map(([x, y]) => other.find(other.restored, x, y)), [0, 5, -1, -1]);
 });
 
 test("a cross-section runs along y at first where the array is more than twice as tall as wide", () => {
@@ -67,7 +69,7 @@ test("on a layout that is no grid it takes the taxels within half a pitch, in th
   const plane = scattered();
   assert.deepEqual(points(plane, [1, 2, 3, 4], "x", 2.4), [[1.5, 4.5], [3, 4]]);
   assert.deepEqual(points(plane, [1, 2, 3, 4], "y", 4.4), [[2.5], [4]]);
-  assert.equal(highestAlong(plane, { along: "x", lineAt: 0 }, [1, 2, 3, 4]), 2);
+  assert.equal(highestAlong(plane, { along: "x", lineAt: 0 }, [1, 2, 3, NaN, 9, 9, 9, 9, NaN, 9, 9, 9]), 3);
 });
 
 test("force, peak and centre leave out taxels without data, and noise is no contact", () => {
@@ -84,6 +86,8 @@ test("force, peak and centre leave out taxels without data, and noise is no cont
   assert.deepEqual([image.force, image.peak, image.contact, image.unknown], [NaN, NaN, false, 2]);
   measure(Float32Array.from([1, 1, 1, 1]), scattered().raw, 0, image);
   assert.equal(image.force, 0.01);
+  measure(Float32Array.from(MASK.flat(), (felt) => (felt ? 2 : NaN)), scattered().restored, 0, image);
+  assert.deepEqual([image.force, image.unknown], [0.045, 0]); // of ten cells: the other two feel nothing
 });
 
 test("outlines are of the frame that is shown, wherever its contacts were found", () => {
@@ -112,6 +116,7 @@ test("a region holds what the frame that is shown has in it, and nothing is know
   assert.deepEqual(measureRegion(rectangle, frame, cells), { force: 4 * 32e-3, mean: 8, peak: 11, area: 16 });
   assert.deepEqual(cellsIn({ shape: "ellipse", points_mm: [[1, 1], [7, 5]] }, cells), [6, 7, 8, 11, 12, 13]);
   assert.deepEqual(cellsIn({ shape: "polygon", points_mm: [[-1, -1], [5, -1], [-1, 5]] }, cells), [0, 1, 5]);
+  assert.deepEqual(cellsIn({ shape: "rectangle", points_mm: [[2.5, -1], [6, 2]] }, scattered().restored), [2, 6, 7]);
   frame.restored[5] = NaN;
   assert.equal(measureRegion(rectangle, frame, cells), null);
 });

@@ -45,7 +45,7 @@ test("a file's name becomes one that the service takes", () => {
 test("a request of before does not end playback where it fails", async () => {
   const plane = new Plane({
     shape: [1, 1], positions_mm: [[0, 0]], pitch_mm: 1, aperture: "square", aperture_mm: 1,
-    raw: { rows: 1, columns: 1 }, restored: { rows: 1, columns: 1, cell_mm: 1 }, areas_mm2: null,
+    raw: { rows: 1, columns: 1 }, restored: { rows: 1, columns: 1, cell_mm: 1, origin_mm: [0, 0], mask: null }, areas_mm2: null,
   });
   let tick, answer;
   globalThis.requestAnimationFrame = (each) => { tick = each; };

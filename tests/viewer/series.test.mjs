@@ -72,7 +72,7 @@ test("a click marks the restored cell that it meets, a drag beyond it none", () 
   const positions_mm = Array.from({ length: 6 }, (_, i) => [2 * (i % 3), 2 * Math.floor(i / 3)]);
   const plane = new Plane({
     shape: [2, 3], positions_mm, pitch_mm: 2, aperture: "square", aperture_mm: 2, areas_mm2: null,
-    raw: { rows: 2, columns: 3 }, restored: { rows: 4, columns: 6, cell_mm: 1 },
+    raw: { rows: 2, columns: 3 }, restored: { rows: 4, columns: 6, cell_mm: 1, origin_mm: [-0.5, -0.5], mask: null },
   });
   assert.deepEqual(cellAround(plane, [[0.1, 0.9], [0.4, 0.6]]), { name: "cell r1 c1", corners: [[0, 0], [1, 1]] });
   assert.equal(cellAround(plane, [[0.1, 0.9], [0.1, 1.1]]), null);
@@ -120,7 +120,7 @@ test("forces are kept in rings, with a gap where no frame came for a while", () 
 /** A grid of 1 x 3, and its frame. */
 const ROW = new Plane({
   shape: [1, 3], positions_mm: [[0, 0], [1, 0], [2, 0]], pitch_mm: 1, aperture: "square", aperture_mm: 1, raw: { rows: 1, columns: 3 },
-  restored: { rows: 1, columns: 3, cell_mm: 1 }, areas_mm2: null,
+  restored: { rows: 1, columns: 3, cell_mm: 1, origin_mm: [0, 0], mask: null }, areas_mm2: null,
 });
 const frameOf = (timestamp, raw) => ({
   timestamp, sequence: timestamp, raw: Float32Array.from(raw), restored: Float32Array.from(raw, (each) => 2 * each), unit: 0,

@@ -97,7 +97,7 @@ beforeEach(() => {
 
 const plane = new Plane({
   shape: [1, 2], positions_mm: [[0, 0], [1, 0]], pitch_mm: 1, aperture: "square", aperture_mm: 1,
-  raw: { rows: 1, columns: 2 }, restored: { rows: 1, columns: 2, cell_mm: 1 }, areas_mm2: null,
+  raw: { rows: 1, columns: 2 }, restored: { rows: 1, columns: 2, cell_mm: 1, origin_mm: [0, 0], mask: null }, areas_mm2: null,
 });
 const status = (sequence, more = {}) => ({
   type: "status", state: "live", method: "wiener", ran: "wiener", sequence, timestamp: sequence / 10, ...more,

@@ -66,10 +66,12 @@ def test_on_arrays_of_every_shape_all_texts_have_room_on_the_maps_and_in_the_pic
 def test_a_layout_that_is_no_grid_is_drawn_true_to_scale(pair, open_page):
     rig, url = pair
     ink = open_page(f"{url}/#thumb").pixels("raw")[..., 3] > 128
-    pitch = rig.service.sensor("thumb").array.pitch
-    zoom = ink.shape[1] / (4.5 + 2 * pitch)
-    assert zoom == pytest.approx(ink.shape[0] / (2.5 + 2 * pitch), rel=0.01)
-    y, x = np.indices(ink.shape) / zoom - pitch
+    cells = rig.service.sensor("thumb").cells
+    (rows, columns), (left, top) = cells.shape, cells.corner - cells.side / 2
+    zoom = ink.shape[1] / (columns * cells.side)
+    assert zoom == pytest.approx(ink.shape[0] / (rows * cells.side), rel=0.01)
+    y, x = np.indices(ink.shape) / zoom
+    y, x = y + top, x + left
     distance = np.min(
         [np.hypot(x - at_x, y - at_y) for at_x, at_y in ((0, 0), (3, 0), (1.5, 2), (4.5, 2.5))], axis=0
     )

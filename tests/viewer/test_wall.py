@@ -34,8 +34,8 @@ def test_every_sensor_has_a_tile_with_its_map_and_force_on_one_socket(pair, open
     page.keep(rig.both, f"{BOTH} && {BRIGHTNESS}.some(each => each)")
     assert ONE_SOCKET in ask("GET", url + "/metrics").text.splitlines()
     image, other = rig.both()
-    areas = rig.service.sensor("thumb").plan.cells.areas
-    forces = [image.restored.sum() * 1e-3, (other.restored * areas).sum() * 1e-3]  # the palm's cells are 1 mm2
+    areas = rig.service.sensor("thumb").plan.cells.side ** 2
+    forces = [image.restored.sum() * 1e-3, np.nansum(other.restored * areas) * 1e-3]  # the palm's cells are 1 mm2
     assert page.evaluate(FORCES) == pytest.approx(forces, abs=0.006)
     assert [each.split()[0] for each in page.evaluate(TILES)] == ["palm", "thumb"]
     cells = brightness(page)

@@ -108,6 +108,7 @@ class PageQuery(BaseModel):
     last: Annotated[str, WINDOW] = Field("1s", description="window, back from the newest image", examples=["2s"])
     before: Annotated[str, BEFORE] | None = Field(None, description=OLDER, examples=["37545@72076.529173"])
     limit: int = Field(100, ge=1, le=MAX_IMAGES, description="images in one answer; fewer if they are large")
+    image: schemas.ImageCells = Field("raster", description=schemas.IMAGE_CELLS)
 
 
 @router.get("", response_model=Frames, responses=problems(404, 406, 429) | PAGE)
@@ -134,6 +135,8 @@ async def page(
             MAX_VALUES[form],
             float(since) if since else None,
         )
+        if query.kind == "restored" and query.image == "taxels":
+            images = images._replace(values=answers.by_taxel(sensor, images.values))
         return _page(sensor, query.kind, form, images)
 
     return await in_turn(request, answer)
@@ -219,6 +222,9 @@ async def newest(
     kind: PressureKind,
     request: Request,
     form: Annotated[NewestFormat, format_of(NewestFormat)],
+    image: Annotated[
+        schemas.ImageCells, Query(description=f"{schemas.IMAGE_CELLS}; a PNG is the raster")
+    ] = "raster",
     top: Annotated[
         float | None, Query(**TOP, description=f"{TOP_OF}, in `unit`; left out: from the image")
     ] = None,
@@ -231,11 +237,11 @@ async def newest(
     The JSON holds state, flags, noise and warnings; `X-Tactiled-` headers give state and age of every format.
     """
     top = in_unit(sensor.plan, "top", top, top_kpa)
-    _, headers = _newest(sensor, kind, form, top)
+    _, headers = _newest(sensor, kind, form, top, image)
     if _names(request.headers.get("if-none-match", ""), headers["ETag"]):
         return Response(status_code=304, headers=headers)  # polling an unchanged image costs nothing
     png = partial(request.app.state.drawing.run, drawing.png)
-    answer = partial(_newest_image, sensor, kind, form, top, png)
+    answer = partial(_newest_image, sensor, kind, form, top, image, png)
     if form == "png" or kind == "deviation":
         return await in_turn(request, answer, "pictures" if form == "png" else "numbers")
     return await run_in_threadpool(answer)
@@ -262,14 +268,14 @@ def image_headers(image: Image, status: Status, unit: Unit) -> dict[str, str]:
 
 
 def _newest(
-    sensor: SensorView, kind: PressureKind, form: NewestFormat, top: float | None
+    sensor: SensorView, kind: PressureKind, form: NewestFormat, top: float | None, cells: schemas.ImageCells
 ) -> tuple[Image, dict[str, str]]:
     """The newest image and its headers."""
     image = sensor.hub.latest()
     if image is None:
         raise no_frame(sensor)
     status = sensor.status()
-    tag = f"{image.sequence}-{image.time:.6f}-{kind}-{form}-{status.state}-{top or ''}"
+    tag = f"{image.sequence}-{image.time:.6f}-{kind}-{form}-{status.state}-{top or ''}-{cells}"
     return image, image_headers(image, status, image.unit) | {"ETag": f'W/"{tag}"'}
 
 
@@ -278,13 +284,14 @@ def _newest_image(
     kind: PressureKind,
     form: NewestFormat,
     top: float | None,
+    cells: schemas.ImageCells,
     png: Callable[[drawing.Picture], bytes],
 ) -> Response:
-    image, headers = _newest(sensor, kind, form, top)
+    image, headers = _newest(sensor, kind, form, top, cells)
     if form == "png":
         content = png(picture(sensor, image, kind, top))
     elif form == "npy":
-        content = answers.npy(answers.pressures(sensor, image, kind))
+        content = answers.npy(answers.pressures(sensor, image, kind, cells))
     else:
-        content = answers.frame(sensor, image, kind).model_dump_json().encode()
+        content = answers.frame(sensor, image, kind, cells).model_dump_json().encode()
     return Response(content, media_type=MEDIA[form], headers=headers)

@@ -22,8 +22,8 @@ def picture(sensor: SensorView, image: Image, kind: PressureKind, top: float | N
         legend=f"{'standard deviation' if kind == 'deviation' else 'pressure'} ({image.unit})",
         values=values,
         top=top or _peak(image, kind, values),
-        positions=sensor.array.positions,
-        pitch=sensor.array.pitch,
+        positions=sensor.array.positions if kind == "raw" else sensor.cells.positions,
+        pitch=sensor.array.pitch if kind == "raw" else sensor.cells.side,
         width=sensor.array.width,
     )
 

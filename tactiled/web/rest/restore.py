@@ -139,7 +139,7 @@ def _restore(plan: SensorPlan, path: Path, images: Path, query: RestoreQuery, ca
         frames = open_frames(path, plan)
     except ConfigError as error:
         raise ConfigError(f"body: {without_path(error, path)}") from error
-    if 4 * len(frames) * prod(plan.blur.surface_shape) > MAX_IMAGE_BYTES:
+    if 4 * len(frames) * prod(plan.cells.shape) > MAX_IMAGE_BYTES:
         bound = f"{MAX_IMAGE_BYTES >> 20} MiB"
         raise Problem(413, f"{len(frames)} frames make images of more than {bound}: send them in parts")
     noise = in_unit(plan, "noise", query.noise, query.noise_kpa)

@@ -31,7 +31,8 @@ const APPLY_TIMEOUT_MS = 60_000; // a cover is solved
  * @typedef {{
  *   shape: [number, number]|null, positions_mm: [number, number][], pitch_mm: number, aperture: "square"|"round",
  *   aperture_mm: number, raw: {rows: number, columns: number},
- *   restored: {rows: number, columns: number, cell_mm: number}, areas_mm2: number[]|null
+ *   restored: {rows: number, columns: number, cell_mm: number, origin_mm: [number, number], mask: boolean[][]|null},
+ *   areas_mm2: number[]|null
  * }} Geometry
  */
 

@@ -166,32 +166,9 @@ export class ContactOutline {
     }
     this._owners.fill(0);
     const noise = CLEAR_DEVIATIONS * (frame.noise || 0) * (frame.noiseGain || 1);
-    if (plane.isGrid) this._own(frame, plane, contacts.length > n ? contacts.slice(0, n) : contacts, noise);
-    else for (let i = n; i > 0; i -= 1) this._claim(frame.restored, plane, contacts[i - 1], i, noise);
+    this._own(frame, plane, contacts.length > n ? contacts.slice(0, n) : contacts, noise);
     this._centre(frame.restored, plane);
-    if (plane.isGrid) this._findEdges(rows, columns, marked);
-  }
-
-  /**
-   * Give a contact its cells; a stronger one, which comes later, may take them.
-   * @param {Float32Array} values
-   * @param {Plane} plane
-   * @param {Contact} contact
-   * @param {number} owner its number in the list, from 1
-   * @param {number} floor pressure that a cell exceeds
-   */
-  _claim(values, { restored: { x, y, count, side } }, contact, owner, floor) {
-    const least = Math.max(floor, PEAK_SHARE * contact.peak);
-    const cos = Math.cos(contact.angle_rad);
-    const sin = Math.sin(contact.angle_rad);
-    const major = WITHIN_DEVIATIONS * Math.max(contact.major_mm, side / 2);
-    const minor = WITHIN_DEVIATIONS * Math.max(contact.minor_mm, side / 2);
-    for (let i = 0; i < count; i += 1) {
-      if (!(values[i] > least)) continue;
-      const dx = x[i] - contact.x_mm;
-      const dy = y[i] - contact.y_mm;
-      if (((dx * cos + dy * sin) / major) ** 2 + ((dy * cos - dx * sin) / minor) ** 2 <= 1) this._owners[i] = owner;
-    }
+    this._findEdges(rows, columns, marked);
   }
 
   /**

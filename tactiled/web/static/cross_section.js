@@ -38,10 +38,10 @@ export class CrossSection {
   /** @param {Plane} plane */
   use(plane) {
     this._plane = plane;
-    this._raw = emptyLine(plane, plane.raw, "raw");
-    this._restored = emptyLine(plane, plane.restored, "restored");
+    this._raw = emptyLine(plane.raw, "raw");
+    this._restored = emptyLine(plane.restored, "restored");
     this._lines = [this._raw, this._restored];
-    this._deviation = emptyLine(plane, plane.restored, "restored");
+    this._deviation = emptyLine(plane.restored, "restored");
   }
 
   /**
@@ -95,13 +95,12 @@ function goesBelow(of, floor) {
 }
 
 /**
- * @param {Plane} plane
  * @param {Cells} cells
  * @param {"raw"|"restored"} ink
  * @returns {Line} with room for the cells along either axis
  */
-const emptyLine = (plane, cells, ink) =>
-  line(Math.max(cells.rows, cells.columns), ink, plane.isGrid ? "steps" : "dots", plane.isGrid ? cells.side : 0);
+const emptyLine = (cells, ink) =>
+  line(Math.max(cells.rows, cells.columns), ink, cells.isRaster ? "steps" : "dots", cells.isRaster ? cells.side : 0);
 
 /**
  * Lay the line through the probe, or the restored peak. It stays until the peak has clearly moved: noise alone must not
@@ -132,7 +131,7 @@ export function placeLine(plane, marks, probe, { ofRestored, restored }) {
 export function highestAlong(plane, { along, lineAt }, values) {
   const cells = plane.restored;
   const across = cells[ACROSS[along]];
-  const reach = (plane.isGrid ? cells.side : plane.pitch) / 2;
+  const reach = cells.side / 2;
   let top = -Infinity;
   for (let i = 0; i < cells.count; i += 1) {
     if (values[i] > top && Math.abs(across[i] - lineAt) <= reach) top = values[i];
@@ -151,7 +150,7 @@ export function sample(plane, cells, values, { along, lineAt }, into) {
   const places = cells[along];
   const across = cells[ACROSS[along]];
   let n = 0;
-  if (plane.isGrid) {
+  if (cells.isRaster) {
     const { rows, columns, side } = cells;
     const upright = along === "y";
     const last = (upright ? columns : rows) - 1;

@@ -26,7 +26,7 @@ export function csvText(plane, frame, origin) {
     lines.push(`raw,${place(plane.raw, i)},${decimal(frame.raw[i])},${frame.flags[i]}${shears}`);
   }
   for (let i = 0; i < plane.restored.count; i += 1) {
-    lines.push(`restored,${place(plane.restored, i)},${decimal(frame.restored[i])},${sheared ? ",," : ""}`);
+    if (plane.restored.area[i]) lines.push(`restored,${place(plane.restored, i)},${decimal(frame.restored[i])},${sheared ? ",," : ""}`);
   }
   return `${lines.join("\n")}\n`;
 }

@@ -167,7 +167,7 @@ class Sheet {
     const draw = this._pen;
     draw.fillStyle = grid ? "#8d949c" : "#333c46";
     draw.fillRect(x, TOP_PX, w, h);
-    draw.imageSmoothingEnabled = !grid;
+    draw.imageSmoothingEnabled = !frame.classList.contains("raster");
     for (const each of frame.querySelectorAll(":scope > canvas")) {
       draw.drawImage(/** @type {HTMLCanvasElement} */ (each), x, TOP_PX, w, h);
       draw.imageSmoothingEnabled = true;

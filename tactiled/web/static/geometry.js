@@ -12,7 +12,9 @@
  * @property {Float64Array} x mm, centre of each cell
  * @property {Float64Array} y mm
  * @property {number} side mm, drawn side or diameter of one cell
- * @property {Float64Array} area mm^2 that each cell's pressure acts on
+ * @property {Float64Array} area mm^2 that each cell's pressure acts on; 0 of one that no taxel feels: it has no data
+ * @property {number} felt how many cells taxels feel
+ * @property {boolean} isRaster they are squares in rows and columns, from the plane's corner on
  */
 
 /** @typedef {"x"|"y"} Axis */
@@ -24,30 +26,27 @@ const TALL_RATIO = 2; // heights of a plane in its width, from which its cross-s
 export class Plane {
   /** @param {Geometry} geometry */
   constructor(geometry) {
-    this.isGrid = geometry.shape !== null;
+    const { raw, restored, shape } = geometry;
+    /** Whether the taxels are in rows and columns, as the cells of the restored image always are. */
+    this.isGrid = shape !== null;
     this.round = geometry.aperture === "round";
     this.pitch = geometry.pitch_mm;
     this.aperture = geometry.aperture_mm;
     const xs = geometry.positions_mm.map((each) => each[0]);
     const ys = geometry.positions_mm.map((each) => each[1]);
-    const margin = this.isGrid ? this.pitch / 2 : this.pitch;
+    const cell = restored.cell_mm;
     /** Left and top edge, mm. */
-    this.left = Math.min(...xs) - margin;
-    this.top = Math.min(...ys) - margin;
+    this.left = restored.origin_mm[0] - cell / 2;
+    this.top = restored.origin_mm[1] - cell / 2;
     /** Extent, mm. */
-    this.width = Math.max(...xs) + margin - this.left;
-    this.height = Math.max(...ys) + margin - this.top;
-    const cell = geometry.restored.cell_mm;
-    const areas = Float64Array.from(geometry.areas_mm2 ?? []);
-    if (this.isGrid) {
-      /** @type {Cells} */
-      this.raw = this._grid(geometry.raw.rows, geometry.raw.columns, this.pitch);
-      /** @type {Cells} */
-      this.restored = this._grid(geometry.restored.rows, geometry.restored.columns, cell);
-    } else {
-      this.raw = scattered(xs, ys, this.aperture, areas);
-      this.restored = scattered(xs, ys, this.aperture, areas);
-    }
+    this.width = restored.columns * cell;
+    this.height = restored.rows * cell;
+    /** @type {Cells} */
+    this.restored = this._raster(restored.rows, restored.columns, cell, restored.mask);
+    /** @type {Cells} */
+    this.raw = this.isGrid
+      ? this._raster(raw.rows, raw.columns, this.pitch, null)
+      : scattered(xs, ys, this.aperture, Float64Array.from(geometry.areas_mm2 ?? []));
     /** Cells of a scattered layout as they lie along each axis, for cross-sections. */
     this.order = {
       x: Int32Array.from(xs.keys()).sort((a, b) => xs[a] - xs[b]),
@@ -70,8 +69,8 @@ export class Plane {
     return axis === "x" ? this.width : this.height;
   }
 
-  /** @param {number} rows @param {number} columns @param {number} side @returns {Cells} */
-  _grid(rows, columns, side) {
+  /** @param {number} rows @param {number} columns @param {number} side @param {boolean[][]|null} mask @returns {Cells} */
+  _raster(rows, columns, side, mask) {
     const count = rows * columns;
     const x = new Float64Array(count);
     const y = new Float64Array(count);
@@ -79,7 +78,8 @@ export class Plane {
       x[i] = this.left + ((i % columns) + 0.5) * side;
       y[i] = this.top + (Math.floor(i / columns) + 0.5) * side;
     }
-    return { rows, columns, count, x, y, side, area: new Float64Array(count).fill(side * side) };
+    const area = mask ? Float64Array.from(mask.flat(), (felt) => (felt ? side * side : 0)) : new Float64Array(count).fill(side * side);
+    return { rows, columns, count, x, y, side, area, felt: area.filter(Boolean).length, isRaster: true };
   }
 
   /**
@@ -89,10 +89,11 @@ export class Plane {
    * @returns {number} index of the cell there; -1 where there is none
    */
   find(cells, x, y) {
-    if (this.isGrid) {
+    if (cells.isRaster) {
       const column = Math.floor((x - this.left) / cells.side);
       const row = Math.floor((y - this.top) / cells.side);
-      return column < 0 || row < 0 || column >= cells.columns || row >= cells.rows ? -1 : row * cells.columns + column;
+      const cell = row * cells.columns + column;
+      return column < 0 || row < 0 || column >= cells.columns || row >= cells.rows || !cells.area[cell] ? -1 : cell;
     }
     let best = -1;
     let nearest = (0.75 * this.pitch) ** 2;
@@ -119,7 +120,7 @@ export function cellAround(plane, points) {
   const { restored: cells } = plane;
   const [cell, ...others] = points.map(([x, y]) => plane.find(cells, x, y));
   if (cell < 0 || others.some((each) => each !== cell)) return null;
-  const name = plane.isGrid ? `cell r${Math.floor(cell / cells.columns)} c${cell % cells.columns}` : `taxel ${cell}`;
+  const name = `cell r${Math.floor(cell / cells.columns)} c${cell % cells.columns}`;
   const [x, y, half] = [cells.x[cell], cells.y[cell], cells.side / 2];
   return { name, corners: [[x - half, y - half], [x + half, y + half]] };
 }
@@ -132,5 +133,6 @@ export function cellAround(plane, points) {
  * @returns {Cells}
  */
 function scattered(xs, ys, side, area) {
-  return { rows: 1, columns: xs.length, count: xs.length, x: Float64Array.from(xs), y: Float64Array.from(ys), side, area };
+  const count = xs.length;
+  return { rows: 1, columns: count, count, x: Float64Array.from(xs), y: Float64Array.from(ys), side, area, felt: count, isRaster: false };
 }

@@ -1,6 +1,6 @@
 /**
- * One pressure map: a pixel per cell of a grid, a disc or square per taxel of any other layout.
- * What is unknown is left transparent, so that the hatching behind it shows.
+ * One pressure map: a pixel per cell in rows and columns, a disc or square per taxel of any other layout.
+ * What is unknown is left transparent, so that the hatching behind it shows; it is grey where there is none behind.
  * @module
  */
 
@@ -9,6 +9,8 @@ import { fitCanvas, context2d } from "./dom.js";
 /** @import { Colormap } from "./colormap.js" */
 /** @import { DisplayRange } from "./display_range.js" */
 /** @import { Cells, Plane } from "./geometry.js" */
+
+const UNKNOWN = [0xff9c948d, 0xff68615b]; // of every other cell: the two colours of the hatching, little-endian
 
 export class Heatmap {
   /** @param {HTMLCanvasElement} canvas the cells @param {HTMLElement} frame what holds it */
@@ -23,6 +25,7 @@ export class Heatmap {
     /** @type {ImageData|null} */
     this._image = null;
     this._pixels = new Uint32Array(0);
+    this._blank = new Uint32Array(0); // what a cell without data is painted
     /** CSS px per mm. */
     this.zoom = 1;
     this._ratio = 1;
@@ -35,11 +38,13 @@ export class Heatmap {
     this._plane = plane;
     this._cells = cells;
     this.frame.classList.toggle("scattered", !plane.isGrid);
-    if (plane.isGrid) {
+    this.frame.classList.toggle("raster", cells.isRaster);
+    if (cells.isRaster) {
       this.canvas.width = cells.columns;
       this.canvas.height = cells.rows;
       this._image = this._pen.createImageData(cells.columns, cells.rows);
       this._pixels = new Uint32Array(this._image.data.buffer);
+      this._blank = Uint32Array.from(cells.area, (area, i) => (plane.isGrid || !area ? 0 : UNKNOWN[(i + Math.floor(i / cells.columns)) % 2]));
     } else {
       this._image = null;
     }
@@ -53,7 +58,7 @@ export class Heatmap {
     const height = this._plane.height * zoom;
     this.frame.style.width = `${width}px`;
     this.frame.style.height = `${height}px`;
-    if (!this._plane.isGrid) this._ratio = fitCanvas(this.canvas, width, height);
+    if (!this._image) this._ratio = fitCanvas(this.canvas, width, height);
   }
 
   /** Show nothing. */
@@ -63,7 +68,7 @@ export class Heatmap {
 
   /** @param {Float32Array} values @param {DisplayRange} range @param {Colormap} colormap */
   paint(values, range, colormap) {
-    if (this._image) this._paintGrid(values, range, colormap, this._image);
+    if (this._image) this._paintRaster(values, range, colormap, this._image);
     else this._paintScattered(values, range, colormap);
   }
 
@@ -73,12 +78,12 @@ export class Heatmap {
    * @param {Colormap} colormap
    * @param {ImageData} image
    */
-  _paintGrid(values, range, colormap, image) {
+  _paintRaster(values, range, colormap, image) {
     const { rgba } = colormap;
-    const out = this._pixels;
+    const { _pixels: out, _blank: blank } = this;
     for (let i = 0; i < out.length; i += 1) {
       const p = values[i];
-      out[i] = p !== p ? 0 : rgba[colormap.index(p, range)];
+      out[i] = p !== p ? blank[i] : rgba[colormap.index(p, range)];
     }
     this._pen.putImageData(image, 0, 0);
   }

@@ -237,11 +237,10 @@ const signedText = (value) => `${value > 0 ? "+" : ""}${number(value)}`;
 /**
  * @param {Plane} plane
  * @param {number} zoom CSS px per mm
- * @returns {number} a little less, where that puts the cells of a grid on whole pixels
+ * @returns {number} a little less, where that puts the cells on whole pixels
  */
 function snapZoom(plane, zoom) {
-  if (!plane.isGrid) return zoom;
-  const cell = Math.min(plane.raw.side, plane.restored.side);
+  const cell = plane.restored.side;
   const ratio = window.devicePixelRatio || 1;
   const snapped = Math.floor(zoom * cell * ratio) / ratio / cell;
   return snapped > MIN_SNAP_SHARE * zoom ? snapped : zoom;

@@ -33,7 +33,7 @@ export function measures() {
  * @param {number} [unit] of the values, which force follows
  */
 export function measure(values, cells, noise, into, unit = 0) {
-  const { count, x, y, area } = cells;
+  const { count, x, y, area, felt } = cells;
   let sum = 0;
   let peak = -Infinity;
   let peakIndex = -1;
@@ -41,7 +41,7 @@ export function measure(values, cells, noise, into, unit = 0) {
   for (let i = 0; i < count; i += 1) {
     const p = values[i];
     if (p !== p) {
-      unknown += 1;
+      if (area[i]) unknown += 1;
     } else {
       sum += p * area[i];
       if (p > peak) {
@@ -50,7 +50,7 @@ export function measure(values, cells, noise, into, unit = 0) {
       }
     }
   }
-  if (unknown > MAX_UNKNOWN * count) {
+  if (unknown > MAX_UNKNOWN * felt) {
     sum = peak = NaN;
     peakIndex = -1;
   }

@@ -11,10 +11,10 @@ const MAX_UNKNOWN = 0.2; // of its cells, with more of which nothing is known
 
 /** @typedef {{force: number, mean: number, peak: number, area: number}} RegionMeasures */
 
-/** @param {{shape: Shape, points_mm: [number, number][]}} region @param {Cells} cells @returns {number[]} those whose centres lie in it */
-export function cellsIn({ shape, points_mm: points }, { x, y, count }) {
+/** @param {{shape: Shape, points_mm: [number, number][]}} region @param {Cells} cells @returns {number[]} those that taxels feel and whose centres lie in it */
+export function cellsIn({ shape, points_mm: points }, { x, y, area, count }) {
   const inside = shape === "polygon" ? inPolygon : inBox;
-  return Array.from({ length: count }, (_, i) => i).filter((i) => inside(points, x[i], y[i], shape === "ellipse"));
+  return Array.from({ length: count }, (_, i) => i).filter((i) => area[i] && inside(points, x[i], y[i], shape === "ellipse"));
 }
 
 /** @param {[number, number][]} points @param {number} x @param {number} y @param {boolean} round @returns {boolean} */

@@ -4,6 +4,7 @@ import asyncio
 import time
 from collections.abc import AsyncIterator, Callable, Iterator, Mapping
 from contextlib import asynccontextmanager, contextmanager
+from dataclasses import replace
 from threading import Lock
 from typing import NamedTuple
 
@@ -24,6 +25,7 @@ class Format(NamedTuple):
     json: bool
     named: bool  # binary messages bear the sensor's name
     together: bool  # all kinds in one binary message
+    cells: schemas.ImageCells  # of the restored image
 
 
 class ContactsFrame(NamedTuple):
@@ -78,8 +80,10 @@ class Feed:
         frames = self._frames.get(form)
         if frames is None:
             if form.json:
-                frames = [frame(self._text(image, kind)) for kind in form.kinds]
+                frames = [frame(self._text(image, kind, form.cells)) for kind in form.kinds]
             else:
+                if form.cells == "taxels":
+                    image = replace(image, restored=answers.by_taxel(self.sensor, image.restored))
                 messages = [self.binary(image, kind, form.named) for kind in form.kinds]
                 frames = [frame(each) for each in ([b"".join(messages)] if form.together else messages)]
             self._frames[form] = frames
@@ -89,10 +93,10 @@ class Feed:
         """An image's bytes, its sensor's name in them if `named`."""
         return pack(image, kind, time.time(), self.sensor.name if named else "")
 
-    def _text(self, image: Image, kind: Kind) -> str:
+    def _text(self, image: Image, kind: Kind, cells: schemas.ImageCells) -> str:
         if kind == "shear":
             return answers.shear(self.sensor, image).model_dump_json()
-        return answers.frame(self.sensor, image, kind).model_dump_json()
+        return answers.frame(self.sensor, image, kind, cells).model_dump_json()
 
     def status(self) -> schemas.StreamStatus:
         """The sensor's state when the clients were last woken."""

@@ -18,7 +18,7 @@ from pydantic import (
 from pydantic.json_schema import WithJsonSchema
 from starlette.datastructures import QueryParams
 
-from tactiled.web.schemas import Next
+from tactiled.web.schemas import IMAGE_CELLS, ImageCells, Next
 from tactiled.wire import KINDS, PRESSURES, Kind
 
 NEXT = '{"type": "next"}, or with "sensor": its name'
@@ -66,6 +66,7 @@ class StreamQuery(BaseModel):
     together: Literal["0", "1"] = Field(
         "0", description="1, with format=binary: all images of a frame in one message, each with its own header"
     )
+    image: ImageCells = Field("raster", description=IMAGE_CELLS)
     token: str | None = Field(None, description="token, if the service needs one")
 
     @model_validator(mode="after")

@@ -139,7 +139,7 @@ class Stream:
             raise UnknownSensorError.among(name, self._feeds)
         query = self._query
         kinds = (*query.kinds, "shear") if name in query.shear and "shear" not in query.kinds else query.kinds
-        form = Format(kinds, query.format == "json", self._named, query.together == "1")
+        form = Format(kinds, query.format == "json", self._named, query.together == "1", query.image)
         return _Line(self._feeds[name], form)
 
     async def run(self) -> None:

@@ -54,7 +54,7 @@ def exported(path, regions):
     target = path.with_suffix(".npz")
     job.make(path, target)
     with np.load(target) as arrays:
-        return arrays["regions"], arrays["restored"].reshape(FRAMES, -1), job.plan().cells.areas[0]
+        return arrays["regions"], arrays["restored"].reshape(FRAMES, -1), job.plan().cells.side ** 2
 
 
 def test_a_series_has_what_an_export_has_for_every_frame_and_its_highest_values(client, path):

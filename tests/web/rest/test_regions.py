@@ -16,7 +16,7 @@ def test_a_region_is_watched_measured_and_removed(rig, client, url):
     images = [rig.show(pressed(force=force)) for force in (400, 3000)]
     (heel,) = client.get("/sensors/palm/regions").json()["regions"]
     inside = [image.restored[2:6, 2:6] for image in images]
-    area = rig.sensor.plan.cells.areas[0]
+    area = rig.sensor.plan.cells.side**2
     assert heel["now"]["peak"] == pytest.approx(inside[1].max())
     assert heel["now"]["force"] == pytest.approx(inside[1].sum() * area * 1e-3, rel=1e-5)
     assert heel["now"]["mean"] == pytest.approx(inside[1].mean(), rel=1e-5)

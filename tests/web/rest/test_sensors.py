@@ -139,7 +139,11 @@ def test_wrong_paths_and_parameters_are_named(rig, client):
         ("/sensors/palm/frames/blurred", 422, "kind = 'blurred'"),
         ("/sensors/palm/frames/raw?format=tiff", 422, "format = 'tiff'"),
         ("/sensors/palm/frames/raw?top_kpa=-1", 422, "top_kpa = '-1'"),
-        ("/sensors/palm/frames/raw?fromat=npy", 422, "fromat: no such parameter: there are top, top_kpa, format"),
+        (
+            "/sensors/palm/frames/raw?fromat=npy",
+            422,
+            "fromat: no such parameter: there are image, top, top_kpa, format",
+        ),
         ("/sensors/palm/frames/raw?format=npy&format=npy", 422, "format: given 2 times: give it once"),
         ("/events?limit=1&limit=2", 422, "limit: given 2 times"),
         ("/events?wait=31", 422, "wait = '31'"),
@@ -169,7 +173,9 @@ def test_kernel_geometry_and_colour_map(client):
     assert np.trapezoid(2 * np.pi * r * g, r) == pytest.approx(1, abs=5e-3)  # all of the force gets through
     geometry = client.get("/sensors/palm/geometry").json()
     assert geometry["positions_mm"][9] == [1.0, 1.0]
-    assert geometry["restored"] == {"rows": 8, "columns": 8, "cell_mm": 1.0}
+    assert geometry["restored"] == {
+        "rows": 8, "columns": 8, "cell_mm": 1.0, "origin_mm": [0.0, 0.0], "mask": None,
+    }  # fmt: skip
     colormap = client.get("/colormap").json()
     assert (colormap["name"], len(colormap["colors"]), colormap["colors"][0]) == ("magma", 256, [0, 0, 4])
 

@@ -2,12 +2,16 @@
 
 import re
 import time
+from io import BytesIO
 
+import httpx
 import numpy as np
 import pytest
-from websockets.sync.client import connect
+from websockets.sync.client import connect as connect_socket
 
+from tactiled.client import connect
 from tactiled.web import answers
+from tactiled.web.server import running
 from tactiled.web.ws.feed import Feed
 from tests.conftest import NO_LOAD, Rig, meanwhile, pressed, until
 from tests.skin import TIP
@@ -141,7 +145,7 @@ REFUSED = {
 
 def test_a_wrong_address_is_refused_with_the_reason(url):
     for path, (code, reason) in REFUSED.items():
-        with connect(websocket_url(url, path)) as client:
+        with connect_socket(websocket_url(url, path)) as client:
             got = closed(client)
         assert (got[0], got[1][: len(reason)]) == (code, reason), path
 
@@ -154,3 +158,41 @@ def test_a_wrong_message_is_refused_with_the_reason(url):
             code, reason = closed(client)
         start = f"message {'of bytes' if isinstance(message, bytes) else repr(message)}"
         assert (code, reason[: len(start)]) == (4400, start)
+
+
+HEXAGONS = [[x + y % 2 / 2, 0.866 * y] for y in range(4) for x in range(4)]
+
+
+def test_a_layout_that_is_no_grid_has_a_raster_everywhere_and_one_value_a_taxel_on_request(request):
+    tip = TIP.replace("rows = 4, columns = 4, pitch_mm = 1.0", f"positions_mm = {HEXAGONS}")
+    rig = Rig(re.sub(r"\W", "-", request.node.name), tip)
+    with meanwhile(rig), running(rig.service) as url, httpx.Client(base_url=f"{url}/api/v1/sensors/tip") as client:
+        show(rig, "tip")
+        cells, image = rig.service.sensor("tip").cells, rig.service.sensor("tip").hub.latest()
+        geometry = client.get("/geometry").json()
+        assert geometry["restored"] == {
+            "rows": 8, "columns": 9, "cell_mm": cells.side, "origin_mm": cells.corner.tolist(),
+            "mask": cells.felt.tolist(),
+        }  # fmt: skip
+        assert image.restored.shape == (8, 9)
+        np.testing.assert_array_equal(np.isfinite(image.restored), cells.felt)
+        means = cells.at_taxels(image.restored, 16)
+        for kind in ("restored", "deviation"):
+            whole, by_taxel = (
+                np.load(BytesIO(client.get(f"/frames/{kind}?format=npy&image={each}").content))
+                for each in ("raster", "taxels")
+            )
+            np.testing.assert_array_equal(np.isfinite(whole), cells.felt)
+            np.testing.assert_array_equal(by_taxel, cells.at_taxels(whole, 16))
+        page = client.get("/frames?image=taxels").json()
+        assert page["frames"][-1]["values"] == pytest.approx(means.tolist(), abs=1e-4)
+        for query, expected in (("", image.restored), ("&image=taxels", means[None])):
+            with streams(url, f"?sensors=tip{query}") as stream:
+                raw, restored = images(stream, 2)
+                assert raw.values.shape == (1, 16)
+                np.testing.assert_array_equal(restored.values, expected)
+        with streams(url, "?sensors=tip&image=taxels&format=json&kinds=restored") as stream:
+            assert text_of(stream, "frame")["values"] == pytest.approx(means.tolist(), abs=1e-4)
+        assert connect(url).snapshot("tip").force == pytest.approx(
+            np.nansum(image.restored) * cells.side**2 * 1e-3
+        )
