@@ -21,13 +21,13 @@ def test_a_misconfigured_cover_changes_frames_but_not_the_operator():
 
 def test_a_configured_grid_or_layout_is_measured_on_the_scenes_that_touch_it(tmp_path):
     path = tmp_path / "it.toml"
-    for config, shape in ((EXAMPLE.replace("= 32", "= 8"), (8, 8)), (GRASP, (60,))):
+    for config, shape, cells in ((EXAMPLE.replace("= 32", "= 8"), (8, 8), (8, 8)), (GRASP, (60,), (9, 46))):
         path.write_text(config)
         clip = next(clips(configured(path), 0.01, 1, 1, ("blobs",)))
-        assert clip.frames.shape == clip.truths.shape == (1, *shape)
+        assert (clip.frames.shape, clip.truths.shape) == ((1, *shape), (1, *cells))
         assert clip.truths.max() > 10
     touching = list(clips(configured(path), 0.01, 2, 1))
     assert 0 < len(touching) < len(TEST_SCENES)
-    assert all(clip.truths.max(axis=1).min() > 1 for clip in touching)
+    assert all(clip.truths.max(axis=(1, 2)).min() > 1 for clip in touching)
     with pytest.raises(ConfigError, match=r"no sensor 'foot': choose one of"):
         configured(path, "foot")
