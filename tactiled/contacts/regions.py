@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
-from tactiled.arrays import Floats32
 from tactiled.contacts.felt import is_known
 from tactiled.frames import Image
 from tactiled.geometry import Raster

@@ -73,7 +73,9 @@ def test_real_bytes_of_a_grasp_are_restored(plan, name, slices, place, rows):
     image = pipeline.process(frames[place])
     np.testing.assert_array_equal(image.raw, 245.0 - counts)  # pressure counts = no load - value
     again = np.linalg.norm(pipeline._chain._restorer.predicted() - image.raw)
-    assert again < np.linalg.norm(plan.blur.forward(image.raw[plan.blur.taxel]) - image.raw)  # than the raw one blurred twice
+    assert again < np.linalg.norm(
+        plan.blur.forward(image.raw[plan.blur.taxel]) - image.raw
+    )  # than the raw one blurred twice
     assert again < np.sqrt(image.raw.size / 12)  # which rounding to counts leaves
 
 
