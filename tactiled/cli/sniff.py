@@ -16,7 +16,7 @@ from tactiled.bus.skins import load
 from tactiled.bus.sniff import Sender, Survey, survey
 from tactiled.cli import options
 from tactiled.cli.app import interrupted
-from tactiled.config import load_buses, parse
+from tactiled.config import load_buses, parse, ready
 from tactiled.errors import ConfigError
 from tactiled.frames import Message
 
@@ -35,7 +35,7 @@ SENSOR = """
 [sensor.{name}]
 bus = "{bus}"
 method = "auto"
-
+{refine}
 [sensor.{name}.codec]
 {codec}
 {array}
@@ -169,13 +169,16 @@ def configuration(result: Survey, settings: dict[str, Any]) -> str:
 
 
 def _sensor(one: Sender, name: str, bus: str) -> str:
-    match, array = one.match, ""
+    match, array, refine = one.match, "", ready.fine(one.match.shape)
+    refine += "\n" if refine else ""
     if match.shape is not None:
         rows, columns = match.shape
         array = ARRAY.format(name=name, rows=rows, columns=columns, pitch_mm=match.pitch_mm)
     codec = _lines({"name": one.name} | match.settings) + "".join(f"\n# {note}" for note in match.notes)
     sign = "-" if (load(one.name).kpa_per_count or 0) < 0 else ""  # counts that fall under pressure
-    return SENSOR.format(name=name, bus=bus, one=one, match=match, codec=codec, array=array, sign=sign)
+    return SENSOR.format(
+        name=name, bus=bus, one=one, match=match, codec=codec, array=array, refine=refine, sign=sign
+    )
 
 
 def _lines(settings: dict[str, Any]) -> str:

@@ -13,7 +13,6 @@ import os
 import ssl
 from collections.abc import AsyncGenerator, Callable, Coroutine, Generator, Iterator, Sequence
 from contextlib import closing, contextmanager, suppress
-from dataclasses import replace
 from functools import partial, wraps
 from http.client import HTTPException, HTTPResponse, IncompleteRead
 from numbers import Real
@@ -28,12 +27,12 @@ from zipfile import BadZipFile
 
 from tactiled.client import results
 from tactiled.client.results import Answer, Contact, Contacts, Event, Recording, Region, Window
-from tactiled.client.stream import ANSWER_S, Image, Measuring, Service, Stream, aread, describe, read
+from tactiled.client.stream import ANSWER_S, Cells, Image, Measuring, Service, Stream, aread, describe, read
 from tactiled.errors import ConfigError, LoadedError, TactileError
 from tactiled.files import whole_file
 from tactiled.wire import Kind
 
-__all__ = ["Client", "Contact", "Contacts", "Event", "Image", "Recording", "Region", "Window", "connect"]
+__all__ = ["Cells", "Client", "Contact", "Contacts", "Event", "Image", "Recording", "Region", "Window", "connect"]
 ROOT = "/api/v1"
 MAX_SECONDS, MAX_WAIT_S = 999_999, 30  # of a window; for an event
 MAX_ITEMS = 1000  # images, events or recordings in one answer
@@ -156,7 +155,7 @@ class Client:
         return aread(Stream(self._service, sensor, rate_hz, patience_s, shear), self._measuring())
 
     def _measuring(self) -> Measuring:
-        """Gives an image its total force; the first of a shape waits for the sensor's geometry."""
+        """Gives an image its cells and total force; the first of a shape waits for the sensor's geometry."""
         geometries: dict[object, Any] = {}
 
         def known(image: Image) -> bool:
@@ -170,7 +169,7 @@ class Client:
                     return image
                 geometries[image.sensor, image.restored.shape] = geometry
             geometry = geometries[image.sensor, image.restored.shape]
-            return replace(image, force=self._read(lambda: results.total_force(image, geometry)))
+            return self._read(lambda: results.measured(image, geometry))
 
         return Measuring(known, measured)
 

@@ -1,7 +1,7 @@
 """What requests of the client return: frozen values, and how they are read from an answer."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import MISSING, dataclass, fields, is_dataclass
+from dataclasses import MISSING, dataclass, fields, is_dataclass, replace
 from http.client import HTTPMessage
 from io import BytesIO
 from typing import Any, get_args, get_type_hints
@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from tactiled.arrays import Flags, Floats, Floats32
 from tactiled.client.display import html
-from tactiled.client.stream import Image
+from tactiled.client.stream import Cells, Image
 from tactiled.frames import FrameWarning
 from tactiled.units import FORCE_SCALES, ForceUnit, Unit
 from tactiled.wire import Kind
@@ -149,14 +149,15 @@ def parse(kind: Any, data: Any) -> Any:
     return next((parse(each, data) for each in objects), data)
 
 
-def total_force(image: Image, geometry: Mapping[str, Any]) -> float:
-    """The sum of a restored image times the areas of its cells, N or counts mm2; NaN where too few are known."""
-    cells = geometry["restored"]
-    mask = cells.get("mask")  # of a layout
-    pressure = image.restored if mask is None else image.restored[np.array(mask, bool)]
-    if np.isnan(pressure).mean() > MAX_UNKNOWN:
-        return np.nan
-    return float(np.nansum(pressure * cells["cell_mm"] ** 2)) * FORCE_SCALES[image.unit]
+def measured(image: Image, geometry: Mapping[str, Any]) -> Image:
+    """The image with its cells and its total force (N, counts mm2), NaN where too few cells are known."""
+    side_mm, origin_mm, mask = (geometry["restored"].get(key) for key in ("cell_mm", "origin_mm", "mask"))
+    felt = np.ones(image.restored.shape, bool) if mask is None else np.array(mask, bool)
+    pressure = image.restored[felt]
+    known = np.isnan(pressure).mean() <= MAX_UNKNOWN
+    force = float(np.nansum(pressure * side_mm**2)) * FORCE_SCALES[image.unit] if known else np.nan
+    cells = None if origin_mm is None else Cells(side_mm, (origin_mm[0], origin_mm[1]), felt)  # None: of 0.4.2
+    return replace(image, cells=cells, force=force)
 
 
 def parse_window(sensor: str, kind: Kind, pages: Sequence[Answer]) -> Window:

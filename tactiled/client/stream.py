@@ -17,7 +17,7 @@ from websockets.asyncio.client import connect as connect_async
 from websockets.exceptions import ConnectionClosed, WebSocketException
 from websockets.sync.client import connect as connect_sync
 
-from tactiled.arrays import Flags, Floats32
+from tactiled.arrays import Flags, Floats32, Mask
 from tactiled.client.display import html
 from tactiled.errors import ConfigError, TactileError
 from tactiled.units import COUNTS, FORCE_UNITS, PRESSURE, Unit
@@ -41,6 +41,15 @@ REFUSED = set(range(4400, 4500)) - {TOO_MANY}  # close codes that another attemp
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Cells:
+    """Where the cells of a restored image are."""
+
+    side_mm: float
+    origin_mm: tuple[float, float]  # x and y of the first cell's centre, as of the taxels' positions
+    mask: Mask  # (rows, columns) that taxels feel; the others have no data
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Image:
     """One frame, raw and restored, and its shear if requested."""
 
@@ -57,6 +66,7 @@ class Image:
     noise: float = math.nan  # as noise_kpa, in `unit`
     unit: Unit = PRESSURE  # of pressures: counts where the sensor is uncalibrated
     force: float = math.nan  # total of `restored`, N or counts mm2; NaN where too little is known
+    cells: Cells | None = None  # of `restored`; None if the service did not say
 
     def _repr_html_(self) -> str:
         """Show it in a notebook."""

@@ -1,5 +1,6 @@
 """Configurations of skins by their names, as `tactiled init --skin` writes them."""
 
+from math import prod
 from typing import NamedTuple
 
 HEAD = """\
@@ -14,7 +15,7 @@ channel = "can0"                       # EDIT: where the skin is{fd}
 SENSOR = """
 [sensor.skin]{bus}
 method = "auto"
-{codec}{array}
+{refine}{codec}{array}
 [sensor.skin.cover]                    # EDIT: the rubber over the taxels
 thickness_mm = 1.0
 young_mpa = 0.5
@@ -26,6 +27,8 @@ rows = {rows}
 columns = {columns}
 pitch_mm = {pitch_mm}
 """
+FINE_TAXELS = 64  # of a grid, up to which an image has finer cells
+REFINE = "refine = 2                             # cells along a pitch: finer ones draw smoother outlines"
 KPA = """
 [sensor.skin.calibration]
 kpa_per_count = 1.0                    # EDIT: what is pushed is in kPa; of counts, what one of them is
@@ -76,4 +79,10 @@ def configuration(name: str) -> str:
         array = ARRAY.format(about=about, rows=shape[0], columns=shape[1], pitch_mm=pitch_mm)
     bus = '\nbus = "can0"' if codec else ""
     table = f"\n[sensor.skin.codec]\n{codec}\n" if codec else ""
-    return text + SENSOR.format(bus=bus, codec=table, array=array) + ("" if codec else KPA)
+    refine = fine(shape) + "\n" if fine(shape) else ""
+    return text + SENSOR.format(bus=bus, refine=refine, codec=table, array=array) + ("" if codec else KPA)
+
+
+def fine(shape: tuple[int, int] | None) -> str:
+    """The line that gives a small grid's image finer cells; "" for any other array."""
+    return REFINE if shape and prod(shape) <= FINE_TAXELS else ""

@@ -15,7 +15,7 @@ from websockets.frames import Close
 
 from tactiled.client import connect
 from tactiled.client import stream as module
-from tactiled.client.results import total_force
+from tactiled.client.results import measured
 from tactiled.client.stream import Inbox, Service, Stream
 from tactiled.config import Server
 from tactiled.errors import TactileError
@@ -57,10 +57,12 @@ def test_images_are_arrays_in_order_with_the_status(playing, url):
     other = run_apart(afirst(url))
     assert other.force == pytest.approx(1e-3 * other.restored.sum(), rel=1e-6)
     holes = replace(image, restored=np.where(np.arange(64).reshape(8, 8) < 16, np.nan, image.restored))
-    assert math.isnan(total_force(holes, {"restored": {"cell_mm": 1.0}}))
+    assert math.isnan(measured(holes, {"restored": {"cell_mm": 1.0}}).force)
     mask = np.isfinite(holes.restored)  # of a layout, whose taxels feel no more
-    masked = total_force(holes, {"restored": {"cell_mm": 2.0, "mask": mask.tolist()}})
-    assert masked == pytest.approx(4e-3 * image.restored[mask].sum())
+    made = measured(holes, {"restored": {"cell_mm": 2.0, "origin_mm": [1.0, 0.5], "mask": mask.tolist()}})
+    assert made.force == pytest.approx(4e-3 * image.restored[mask].sum())
+    assert (made.cells.side_mm, made.cells.origin_mm, made.cells.mask.tolist()) == (2.0, (1.0, 0.5), mask.tolist())
+    assert (image.cells.side_mm, image.cells.origin_mm, image.cells.mask.all()) == (1.0, (0.0, 0.0), True)
     sequences = [each.sequence for each in images]
     assert sequences == sorted(set(sequences))
     assert (image.status["sensor"], image.status["state"], image.status["method"]) == ("palm", "live", "wiener")

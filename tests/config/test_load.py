@@ -93,7 +93,9 @@ def test_two_sensors_of_one_name_in_ros_are_an_error_where_ros_is_used():
 def test_the_configuration_of_every_skin_is_complete_and_doubtful_until_it_is_edited(name):
     text = ready.configuration(name)
     (sensor,) = parse(text).sensor.values()
-    assert make_codec(sensor).size == make_array(sensor).size
+    array = make_array(sensor)
+    assert make_codec(sensor).size == array.size
+    assert sensor.refine == (2 if array.shape and array.size <= 64 else None)  # a picture, not 24 squares
     assert len(unedited(text)) >= 1 + (name != "pushed")
 
 

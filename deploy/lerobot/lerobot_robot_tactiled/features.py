@@ -29,7 +29,8 @@ def values(window: Sequence[Image], age_s: float) -> list[float]:
     ages = [age_s + window[-1].timestamp - image.timestamp for image in window]
     flagged = [float(np.count_nonzero(image.flags)) for image in window]
     restored = np.stack([image.restored.ravel() for image in window])
-    unknown = np.isnan(restored).sum(axis=1, dtype=float).tolist()
+    felt = True if window[0].cells is None else window[0].cells.mask.ravel()
+    unknown = (np.isnan(restored) & felt).sum(axis=1, dtype=float).tolist()
     return [*np.nan_to_num(restored).ravel().tolist(), *ages, *flagged, *unknown]
 
 
