@@ -19,7 +19,7 @@ from tactiled.frames import FrameWarning, Image, RawFrame, StageTimes
 from tactiled.geometry import tiling
 from tactiled.restore.methods import require
 from tactiled.restore.noise import estimate
-from tactiled.restore.scene import Restored
+from tactiled.restore.scene import Restored, never
 from tactiled.runtime.cover_monitor import CoverMonitor
 from tactiled.runtime.noise import Noise
 from tactiled.runtime.tare_frames import TARE_FRAMES, TareFrames
@@ -162,7 +162,7 @@ class Pipeline:
         self._recent = (*self._recent, raw)[-TARE_FRAMES:]
         chain.prepare(self.method)
         calibrated = monotonic()
-        done = chain.restore(raw, flags, self.method, Deadline(budget_s))
+        done = chain.restore(raw, flags, self.method, Deadline(budget_s) if budget_s < inf else never)
         restored = monotonic()
         warnings = self._check(raw, flags, done, budget_s)
         checked = monotonic()
