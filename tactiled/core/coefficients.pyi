@@ -10,6 +10,7 @@ def likeliest(
 ) -> int: ...
 def outstanding(
     squares: _Array,
+    variance: float,
     limit: _Array,
     quiet: _Array,
     down: _Array,

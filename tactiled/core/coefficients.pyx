@@ -79,6 +79,7 @@ def likeliest(
 
 def outstanding(
     const float[:, ::1] squares,
+    float variance,
     const float[:, ::1] limit,
     const float[:, ::1] quiet,
     const float[::1] down,
@@ -90,10 +91,11 @@ def outstanding(
 ):
     """Whether modes (K, L) stand out of a spectrum; fills `out` with the weight W of each mode, else `weight`.
 
-    `squares`: of a frame's coefficients, over the noise's variance. Their mean in a window of 5 x 5 modes is p; a mode
-    stands out where p > `limit` times q, the most of 1, the squares' mean by the weights `quiet`, and what rows and
-    columns share, 1 + a `down` (K,) + b `across` (L,). a and b: by how much the squares' median in the upper half
-    of the first row, or column, is above noise's. Then W = s `inverse` / (s `firm` + 1) with s = max(p - 1, 0).
+    `squares`: of a frame's coefficients; all powers are over the noise's `variance`. Their mean in a window of 5 x 5
+    modes is p; a mode stands out where p > `limit` times q, the most of 1, the squares' mean by the weights `quiet`,
+    and what rows and columns share, 1 + a `down` (K,) + b `across` (L,). a and b: by how much the squares' median in
+    the upper half of the first row, or column, is above noise's. Then W = s `inverse` / (s `firm` + 1) with
+    s = max(p - 1, 0).
     ValueError where shapes do not fit.
     """
     cdef long K = squares.shape[0], L = squares.shape[1], size = K * L, i, j
@@ -115,13 +117,14 @@ def outstanding(
         mean_of_windows(c, K, L, power + size, power)
         for i in range(size):
             level += c[i] * calm[i]
-        level = max(level, 1)
+        level = max(level / variance, 1)
         for i in range(size):
+            power[i] /= variance
             found |= power[i] > level * most[i]
         if found:
             found = False
-            a = excess(c + L // 2, L - L // 2, 1)
-            b = excess(c + K // 2 * L, K - K // 2, L)
+            a = excess(c + L // 2, L - L // 2, 1, variance)
+            b = excess(c + K // 2 * L, K - K // 2, L, variance)
             for i in range(K):
                 for j in range(L):
                     q = max(level, 1 + a * down[i] + b * across[j])
@@ -164,8 +167,8 @@ cdef void mean_of_windows(const float *x, long K, long L, float *between, float 
             )
 
 
-cdef float excess(const float *x, long n, long step) noexcept nogil:
-    """How far the median of n squares is above that of noise's; 0 if it is not."""
+cdef float excess(const float *x, long n, long step, float variance) noexcept nogil:
+    """How far the median of n squares is above that of noise of a `variance`, over it; 0 if it is not."""
     cdef long i, j, below, same
     for i in range(n):
         below = same = 0
@@ -173,7 +176,7 @@ cdef float excess(const float *x, long n, long step) noexcept nogil:
             below += x[j * step] < x[i * step]
             same += x[j * step] == x[i * step]
         if below <= n // 2 < below + same:
-            return min(max(x[i * step] / 0.455 - 1, 0), MOST)  # 0.455: of a normal variable's square
+            return min(max(x[i * step] / (0.455 * variance) - 1, 0), MOST)  # 0.455: of a normal variable's square
     return NAN
 
 

@@ -53,9 +53,10 @@ class NarrowBand:
 
     def __call__(self, squares: Image, limit: Image, weight: Image) -> bool:
         """Take in a frame's squared coefficients and a filter; gives whether any mode stands out."""
-        ratio = squares * np.float32(1 / self._variance)
         of_modes, shared = (self._inverse, self._firm), (self._down, self._across)
-        return coefficients.outstanding(ratio, limit, self._quiet, *shared, *of_modes, weight, self.weight)
+        return coefficients.outstanding(
+            squares, self._variance, limit, self._quiet, *shared, *of_modes, weight, self.weight
+        )
 
 
 def _neighbours(n: int) -> Floats:

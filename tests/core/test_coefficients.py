@@ -60,11 +60,14 @@ def test_modes_stand_out_of_their_spectrum_and_of_what_rows_and_columns_share(m,
     squares[:, 0] *= 1 + shared
     squares[0] *= 1 + shared
     squares[m // 2, n // 2] += 100
+    variance = np.float32(0.25)
     quiet = np.full((m, n), 1 / (m * n), np.float32)
     down, across = abs(normal(random, m)), abs(normal(random, n))
     limits, inverse, firm, weight = (abs(normal(random, m, n)) + limit for _ in range(4))
     out = np.full((m, n), 7, np.float32)
-    found = coefficients.outstanding(squares, limits, quiet, down, across, inverse, firm, weight, out)
+    found = coefficients.outstanding(
+        variance * squares, variance, limits, quiet, down, across, inverse, firm, weight, out
+    )
     p, level = mean_of_windows(squares), max(1.0, float((quiet * squares).sum(dtype=float)))
     q = np.maximum(1 + excess(squares[0, n // 2 :]) * down[:, None] + excess(squares[m // 2 :, 0]) * across, level)
     strong, own = p > limits * q, np.maximum(p - 1, 0)
@@ -88,11 +91,13 @@ def test_shapes_that_do_not_fit_are_refused():
     calls = {
         coefficients.transform: [x] * 4,
         coefficients.likeliest: [x, x, x, at, at, np.ones((3, 37), np.float32)],
-        coefficients.outstanding: [x, x, x, row, row, x, x, x, x],
+        coefficients.outstanding: [x, 1.0, x, x, row, row, x, x, x, x],
     }
     for function, arguments in calls.items():
         function(*arguments)
         for n, each in enumerate(arguments):
+            if not isinstance(each, np.ndarray):
+                continue
             wrong = [*arguments]
             wrong[n] = (
                 np.append(each, each[:1] + 1, axis=0) if each.ndim == 1 else np.ascontiguousarray(each[:, 1:])

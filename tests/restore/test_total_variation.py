@@ -70,7 +70,7 @@ def test_what_it_comes_to_is_the_least(covered, pressed, monkeypatch, seed):
     blur = covered((8, 8))
     frame, _ = pressed(blur, SIGMA, seed)
     scene = Scene(blur, SIGMA)
-    monkeypatch.setattr(scene, "force_scale", lambda _: 1.0)
+    monkeypatch.setattr(scene, "keep_force", lambda _: None)
     monkeypatch.setattr(total_variation, "ITERATIONS", 20_000)
     monkeypatch.setattr(total_variation, "MODES_MISS", 1e-9)  # the problem is that of the modes
     solver = TotalVariation(scene)
