@@ -39,7 +39,8 @@ def line_kpa(page, cells):
 
 def test_it_runs_along_either_axis_through_the_peak_or_a_pinned_probe_on_every_layout(serve, open_page):
     rig, url = serve(THUMB + STRIP)
-    rig.both(BLOCK)
+    _, thumb = rig.both(BLOCK)
+    x, y = rig.service.sensor("thumb").cells.positions[np.nanargmax(thumb.restored)]
     rig.send_to("strip", 100 + 40 * np.arange(24))
     page = open_page(url)
     page.locator("#contacts-on").uncheck()
@@ -62,8 +63,8 @@ def test_it_runs_along_either_axis_through_the_peak_or_a_pinned_probe_on_every_l
         page.press(key)
         page.wait(f"{WHERE} === 'x {before + 1:.1f} mm, pinned'")
     for key, where in (
-        ("2", "y 2.5 mm"),  # no grid: through the taxel with the highest pressure
-        ("x", "x 4.5 mm"),
+        ("2", f"y {y:.1f} mm"),  # no grid: through the cell with the highest pressure
+        ("x", f"x {x:.1f} mm"),
         ("3", "x 1.0 mm"),  # much taller than wide: along y at first
         ("x", "y 11.0 mm"),
         ("1", f"y {row:.1f} mm"),
