@@ -26,7 +26,7 @@ from tactiled.errors import ConfigError, TactileError
 from tactiled.frames import CONFIGURED, FrameWarning
 from tactiled.geometry import Array, Pose, Raster, grid, layout, raster
 from tactiled.restore.blur import Blur
-from tactiled.restore.methods import require
+from tactiled.restore.methods import named
 from tactiled.units import COUNTS, PRESSURE, Unit
 
 LOG = logging.getLogger(__name__)
@@ -142,7 +142,6 @@ def _plan(
     array, codec = make_array(sensor), make_codec(sensor)
     if codec.size != array.size:
         raise ConfigError(f"the codec carries {codec.size} taxels and the array has {array.size}: they must agree")
-    require(sensor.method)
     stack = make_stack(sensor)
     if file:
         _check_file(name, sensor, file, array.size, stack)
@@ -168,7 +167,7 @@ def _plan(
         blur=blur,
         cells=raster(array, refine),
         calibration=calibration,
-        method=sensor.method,
+        method=named(sensor.method),
         budget_s=None if sensor.budget_ms is None else 1e-3 * sensor.budget_ms,
         stale_after_s=sensor.stale_after_s,
         warnings=_constant_warnings(None if calibrated else sensor.calibration, summarise(kernel, array), array),

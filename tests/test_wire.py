@@ -6,7 +6,7 @@ from hypothesis import assume, example, given
 from hypothesis import strategies as st
 
 from tactiled.frames import MISSING, Image
-from tactiled.restore.methods import METHODS
+from tactiled.restore.methods import METHODS, OLD_NAMES
 from tactiled.wire import HEADER, METHOD_NAMES, pack, unpack
 
 
@@ -63,7 +63,7 @@ def test_unpack_inverts_pack(grid):
 
 
 def test_every_method_has_a_number_and_an_unknown_one_has_no_name(grid):
-    assert {*METHOD_NAMES} == {*METHODS} - {"auto"} | {"", "idle"}
+    assert {*METHOD_NAMES} == {*METHODS, *OLD_NAMES} - {"auto"} | {"", "idle"}
     for method in METHOD_NAMES[1:]:
         assert unpack(pack(replace(grid, method=method), "raw", 2.0)).method == method
     assert unpack(pack(replace(grid, method="another"), "raw", 2.0)).method == ""

@@ -9,16 +9,17 @@ def tune(
 def redraw(
     images: _Array, fixed: _Array, kernels: _Array, scales: _Array, offsets: _Array, draw: _Array, out: _Array
 ) -> None: ...
-def hold(
-    image: _Array,
+def restore(
+    images: _Array,
+    fixed: _Array,
+    kernels: _Array,
+    tuned: _Array,
+    draw: _Array,
     down: _Array,
     across: _Array,
-    back: _Array,
     gain: _Array,
     c: _Array,
-    firmness: float,
+    firmness: _Array,
+    within: tuple[int, int, int, int],
     out: _Array,
 ) -> None: ...
-def misfit(
-    image: _Array, down: _Array, across: _Array, gain: _Array, c: _Array, image_error: float, noise: float
-) -> float: ...

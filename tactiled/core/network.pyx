@@ -2,6 +2,7 @@
 """The stages of a small network that redraws an image and holds it to a frame, float32."""
 
 from libc.stdlib cimport free, malloc
+from libc.string cimport memcpy, memset
 
 cdef extern from "network.h" nogil:
     int redraw_image(int inputs, int filters, long rows, long columns, const float *images, const float *fixed,
@@ -78,18 +79,26 @@ def redraw(
         raise MemoryError
 
 
-cdef void missed(
-    const float[:, ::1] image, const float[:, ::1] down, const float[:, ::1] across,
-    const float[:, ::1] gain, const float[:, ::1] c, float *between, float *left,
+cdef void held(
+    long R, long C, long K, long L, const float *z, const float *down, const float *across, const float *back,
+    const float *h, const float *c, float firmness, float *between, float *out,
 ) noexcept nogil:
-    """Fill `left` (K, L): c - h (down' image across)."""
-    cdef long R = image.shape[0], C = image.shape[1], K = down.shape[1], L = across.shape[1], i
-    cdef const float *h = &gain[0, 0]
-    cdef const float *y = &c[0, 0]
-    product(K, C, R, &down[0, 0], 1, K, &image[0, 0], between)
-    product(K, L, C, between, C, 1, &across[0, 0], left)
+    """Hold an image z (R, C) to a frame: out = z + V h (c - h V' z) / (h^2 + firmness).
+
+    That is the least of |H x - y|^2 + firmness |x - z|^2 in the modes of a blur: V' z = down' z across, with
+    `down` (R, K), `across` (C, L) and `back`, its transpose; h (K, L) their gains and c the frame's coefficients.
+    `between` has room for what is in between.
+    """
+    cdef long i
+    cdef float *left = between + max(R, K) * max(C, L)
+    product(K, C, R, down, 1, K, z, between)
+    product(K, L, C, between, C, 1, across, left)
     for i in range(K * L):
-        left[i] = y[i] - h[i] * left[i]
+        left[i] = (c[i] - h[i] * left[i]) * h[i] / (h[i] * h[i] + firmness)
+    product(R, L, K, down, K, 1, left, between)
+    product(R, C, L, between, L, 1, back, out)
+    for i in range(R * C):
+        out[i] += z[i]
 
 
 cdef int check(
@@ -105,72 +114,90 @@ cdef int check(
     return 0
 
 
-def hold(
-    const float[:, ::1] image,
+cdef void crop(const float *whole, long columns, long r, long c, long R, long C, float *part) noexcept nogil:
+    """Copy the part (R, C) from row r, column c of rows of so many columns."""
+    cdef long row
+    for row in range(R):
+        memcpy(part + row * C, whole + (r + row) * columns + c, C * sizeof(float))
+
+
+def restore(
+    float[:, :, ::1] images,
+    const float[:, :, :, ::1] fixed,
+    const float[:, :, :, :, ::1] kernels,
+    const float[:, ::1] tuned,
+    const float[:, :, :, ::1] draw,
     const float[:, ::1] down,
     const float[:, ::1] across,
-    const float[:, ::1] back,
     const float[:, ::1] gain,
     const float[:, ::1] c,
-    float firmness,
+    const float[::1] firmness,
+    (long, long, long, long) within,
     float[:, ::1] out,
 ):
-    """Hold an image z (R, C) to a frame: out = z + V h (c - h V' z) / (h^2 + firmness).
+    """Run S stages from a linear image, images[2], to `out` (R, C), which is not negative.
 
-    That is the least of |H x - y|^2 + firmness |x - z|^2 in the modes of a blur: V' z = down' z across, with
-    `down` (R, K), `across` (C, L) and `back`, its transpose; h the modes' `gain` and `c` the frame's coefficients,
-    both (K, L). ValueError where shapes do not fit.
+    Each redraws (`redraw`, by its part of `fixed`, `kernels` and `draw`, and of `tuned` (S, 2 F + 1): scales and
+    offsets) from `images` (3, R, C), which keep what the last one saw: the image before it, held to the frame
+    (`held`, by the `firmness` (S,) of the stage before), the same as it was, and the linear one. What it draws is
+    added to the first, and held to the frame. The first stage begins with the linear image, cut off below zero where
+    it is the first.
+    All is done `within` (first row, end, first column, end), as if the surface ended there: the rest is zero.
     """
-    cdef long R = image.shape[0], C = image.shape[1], K = gain.shape[0], L = gain.shape[1], i
-    check(image, down, across, gain, c)
-    if back.shape[0] != L or back.shape[1] != C or out.shape[0] != R or out.shape[1] != C:
-        raise ValueError("hold: shapes of out and back do not fit")
-    cdef float *between = <float *>malloc((max(R, K) * max(C, L) + K * L) * sizeof(float))
-    if between == NULL:
+    cdef long S = kernels.shape[0], F = kernels.shape[1], rows = out.shape[0], columns = out.shape[1]
+    cdef long K = gain.shape[0], L = gain.shape[1], s, i, row
+    cdef long r = within[0], R = within[1] - within[0], q = within[2], C = within[3] - within[2]
+    cdef int failed = 0
+    check(out, down, across, gain, c)
+    if not (
+        S and F and R * (C + 1) >= 4 and images.shape[0] == kernels.shape[2] == 3
+        and images.shape[1] == rows and images.shape[2] == columns
+        and 0 <= r and R > 0 and r + R <= rows and 0 <= q and C > 0 and q + C <= columns
+        and fixed.shape[0] == tuned.shape[0] == draw.shape[0] == firmness.shape[0] == S
+        and fixed.shape[1] == draw.shape[3] == F and fixed.shape[2] == rows and fixed.shape[3] == columns + 1
+        and kernels.shape[3] == kernels.shape[4] == draw.shape[1] == draw.shape[2] == 3
+        and tuned.shape[1] == 2 * F + 1
+    ):
+        raise ValueError("restore: shapes do not fit")
+    cdef float *first = <float *>malloc(
+        (4 * R * C + F * R * (C + 1) + L * C + max(R, K) * max(C, L) + K * L) * sizeof(float)
+    )
+    if first == NULL:
         raise MemoryError
-    cdef float *left = between + max(R, K) * max(C, L)
-    cdef const float *h = &gain[0, 0]
+    cdef float *before = first + R * C
+    cdef float *linear = before + R * C
+    cdef float *z = linear + R * C
+    cdef float *there = z + R * C
+    cdef float *back = there + F * R * (C + 1)
+    cdef float *between = back + L * C
     with nogil:
-        missed(image, down, across, gain, c, between, left)
-        for i in range(K * L):
-            left[i] = left[i] * h[i] / (h[i] * h[i] + firmness)
-        product(R, L, K, &down[0, 0], K, 1, left, between)
-        product(R, C, L, between, L, 1, &back[0, 0], &out[0, 0])
+        crop(&images[2, 0, 0], columns, r, q, R, C, linear)
+        for i in range(C * L):
+            back[i % L * C + i / L] = across[q + i / L, i % L]
         for i in range(R * C):
-            (&out[0, 0])[i] += (&image[0, 0])[i]
-        free(between)
-
-
-def misfit(
-    const float[:, ::1] image,
-    const float[:, ::1] down,
-    const float[:, ::1] across,
-    const float[:, ::1] gain,
-    const float[:, ::1] c,
-    float image_error,
-    float noise,
-):
-    """Mean square of what an image leaves of a frame's modes, c - h V' z, over what it may: (h e)^2 + noise^2.
-
-    e is `image_error` times the image's root mean square; the rest is as in `hold`.
-    """
-    cdef long K = gain.shape[0], L = gain.shape[1], i
-    cdef long cells = image.shape[0] * image.shape[1]
-    cdef double total = 0
-    cdef float squares = 0
-    check(image, down, across, gain, c)
-    cdef float *between = <float *>malloc((K * image.shape[1] + K * L) * sizeof(float))
-    if between == NULL:
+            first[i], before[i] = max(linear[i], 0), linear[i]
+        memset(&out[0, 0], 0, rows * columns * sizeof(float))
+        memset(&images[0, 0, 0], 0, 2 * rows * columns * sizeof(float))
+        for s in range(S):
+            if s:
+                memcpy(before, z, R * C * sizeof(float))
+            for i in range(F):
+                crop(&fixed[s, i, 0, 0], columns + 1, r, q, R, C + 1, there + i * R * (C + 1))
+            failed = failed or redraw_image(
+                3, F, R, C, first, there, &kernels[s, 0, 0, 0, 0], &tuned[s, 0], &tuned[s, F], &draw[s, 0, 0, 0], z
+            )
+            for i in range(R * C):
+                z[i] += first[i]
+            if s == S - 1:
+                for row in range(R):
+                    memcpy(&images[0, r + row, q], first + row * C, C * sizeof(float))
+                    memcpy(&images[1, r + row, q], before + row * C, C * sizeof(float))
+            held(
+                R, C, K, L, z, &down[r, 0], &across[q, 0], back, &gain[0, 0], &c[0, 0], firmness[s], between, first
+            )
+        for row in range(R):
+            for i in range(C):
+                out[r + row, q + i] = 0 if first[row * C + i] < 0 else first[row * C + i]  # NaN stays
+        free(first)
+    if failed:
         raise MemoryError
-    cdef float *left = between + K * image.shape[1]
-    cdef const float *h = &gain[0, 0]
-    cdef const float *z = &image[0, 0]
-    with nogil:
-        for i in range(cells):
-            squares += z[i] * z[i]
-        squares *= image_error * image_error / cells
-        missed(image, down, across, gain, c, between, left)
-        for i in range(K * L):
-            total += left[i] * left[i] / (h[i] * h[i] * squares + noise * noise)
-        free(between)
-    return total / (K * L)

@@ -11,7 +11,7 @@ import numpy as np
 
 from tactiled.core import coefficients
 from tactiled.restore import learned
-from tactiled.restore.deviation import deviation, raw_deviation
+from tactiled.restore.deviation import deviation, learned_deviation, raw_deviation
 from tactiled.restore.modes import Floats, Image
 from tactiled.restore.noise import detection_threshold
 from tactiled.restore.points import LEARNED_SPREAD_CELLS, TOO_THIN, Points
@@ -70,6 +70,8 @@ class Auto:
             return self.loads.drawing.deviation()
         if self._last.method == "raw":
             return raw_deviation(self._scene, self._wiener)
+        if self._last.method == learned.Learned.name and isinstance(self._sharp, learned.Learned):
+            return learned_deviation(self._scene, self._sharp)
         return deviation(self._scene, None if self._last is self._idle else self._last.image)
 
     def is_idle(self, y: Image) -> bool:

@@ -129,20 +129,6 @@ class GridBlur(Blur):
         """What pressure finer than the grid does to the taxels; None where cells are finer."""
         return Aliasing(self._stencil(FINE), self._shape, FINE) if self.refine == 1 else None
 
-    def cut(self, shape: tuple[int, int]) -> "GridBlur":
-        """Make the blur of fewer taxels, of `shape`, under the same cover."""
-
-        def middle(k: int) -> Floats:
-            stencil = self._stencil(k)
-            lengths = [k * (2 * n - 1) for n in shape]
-            starts = [(length - n) // 2 for length, n in zip(stencil.shape, lengths, strict=True)]
-            rows, columns = (slice(start, start + n) for start, n in zip(starts, lengths, strict=True))
-            return stencil[rows, columns]
-
-        part = GridBlur(middle, shape, self.refine, self.cell_mm)
-        part.thickness_error = self.thickness_error
-        return part
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Wide:

@@ -1,7 +1,11 @@
 """Standard deviation (kPa) of every cell of an image: of the noise, of what a method leaves out, of the model."""
 
+from math import sqrt
+
 import numpy as np
 
+from tactiled.restore.blur import THICKNESS_ERROR
+from tactiled.restore.learned import Learned
 from tactiled.restore.modes import Floats, Image
 from tactiled.restore.scene import Scene
 from tactiled.restore.wiener import Wiener, wiener_weight
@@ -46,6 +50,12 @@ def _slope_in_thickness(scene: Scene, image: Image) -> Floats:
     pressure = analyse(np.ascontiguousarray(image, np.float32), analyse.empty())[modes.head]
     change = wiener_weight(scene) * np.sqrt(modes.gain_variance(1.0)) * pressure
     return np.abs(synthesise(np.asarray(change, np.float32), synthesise.empty())).astype(float)
+
+
+def learned_deviation(scene: Scene, network: Learned) -> Floats:
+    """Give the network's own, and what a cover known less than in training changes of its image."""
+    spread, doubt = network.deviation(), sqrt(max(scene.thickness_error**2 - THICKNESS_ERROR**2, 0.0))
+    return np.asarray(np.hypot(spread, doubt * _slope_in_thickness(scene, network.image)) if doubt else spread)
 
 
 def raw_deviation(scene: Scene, wiener: Wiener) -> Floats:

@@ -18,8 +18,10 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from tactiled.core import surface
 from tactiled.restore.blur import Blur
 from tactiled.restore.modes import Floats, Image, Modes, Transform
+from tactiled.restore.pressed import Box
 from tactiled.restore.prior import Spectrum
 
 MAX_KEPT_VALUES = 1 << 24  # of all matrices of one kind that are kept: 64 MB
@@ -35,8 +37,11 @@ class Kriging(Protocol):
 
     bases: tuple[Floats, ...]  # orthonormal, along each axis of the array's frames: how rough they are
 
-    def __call__(self, y: Image, spectrum: Spectrum) -> Image:
-        """Give the full frame; `y` is one of the array, without gaps. Valid until the next."""
+    def __call__(self, y: Image, spectrum: Spectrum, box: Box | None = None) -> Image:
+        """Give the full frame; `y` is one of the array, without gaps. Valid until the next.
+
+        What lies beyond a `box` that everything that presses is in may be taken to read zero.
+        """
 
     def variances(self, spectrum: Spectrum) -> Floats:
         """Give the variance of a frame's coefficients in `bases`, noise included."""
@@ -82,8 +87,8 @@ class Part(Kriging):
         self._missing, self._known = np.flatnonzero(~self._there), np.flatnonzero(self._there)
         self._frame: Image = np.zeros(shape, np.float32)
         self._around: Image = np.zeros(shape, np.float32)
-        self._inside, self._flat = self._frame[self._own], self._frame.reshape(-1)
-        self._inferred = np.empty(len(self._missing), np.float32)
+        self._inside = self._frame[self._own]
+        self._beyond, self._whole = np.divmod(self._missing, shape[-1]), (0, shape[0], 0, shape[-1])
         self._matrices: dict[Spectrum, NDArray[Any]] = {}
         self._levels: dict[tuple[float, float, int], Spectrum] = {}
         self._lowered: dict[Spectrum, NDArray[Any]] = {}  # Q_kk's diagonal, as the others are not there
@@ -98,13 +103,17 @@ class Part(Kriging):
         waves = modes.frequency[modes.head] * ROUGHNESS_TAXELS * blur.surface_shape[0] / blur.frame_shape[0]
         self._low_pass = np.asarray(np.exp(-2 * (np.pi * waves) ** 2), np.float32)
 
-    def __call__(self, y: Image, spectrum: Spectrum) -> Image:
+    def __call__(self, y: Image, spectrum: Spectrum, box: Box | None = None) -> Image:
         """Give the full frame; `y` is one of the array, without gaps. Valid until the next."""
         if not len(self._missing):
             return y
-        np.copyto(self._inside, y)
-        self._matrix(self._shared(spectrum)).dot(y.reshape(-1), self._inferred)
-        self._flat[self._missing] = self._inferred
+        if box and box.clear:
+            self._frame.fill(0)
+            np.copyto(self._inside, y)
+        else:
+            matrix, (rows, columns) = self._matrix(self._shared(spectrum)), self._own
+            at = rows.start, columns.start
+            surface.complete(matrix, y, *self._beyond, *at, box[:4] if box else self._whole, self._frame)
         return self._frame
 
     def variances(self, spectrum: Spectrum) -> Floats:
@@ -215,8 +224,9 @@ class Anywhere(Kriging):
         self._matrices: dict[Spectrum, NDArray[Any]] = {}
         self._inverses: dict[Spectrum, NDArray[Any]] = {}
 
-    def __call__(self, y: Image, spectrum: Spectrum) -> Image:
+    def __call__(self, y: Image, spectrum: Spectrum, box: Box | None = None) -> Image:
         """Give the full frame; `y` is one of the array, without gaps. Valid until the next."""
+        del box
         if spectrum not in self._matrices:
             S, (U, V) = spectrum.ratio.ravel(), self._modes.taxel
             weighted = (self._inverse(spectrum) @ self._r) * ((self._h**2 + self._gain_variance) * S + 1)

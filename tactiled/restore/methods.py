@@ -10,7 +10,7 @@ from tactiled.errors import ConfigError
 from tactiled.restore import learned
 from tactiled.restore.auto import LOADS, Auto
 from tactiled.restore.blur import Blur
-from tactiled.restore.deviation import deviation, raw_deviation
+from tactiled.restore.deviation import deviation, learned_deviation, raw_deviation
 from tactiled.restore.inpaint import Inpainter
 from tactiled.restore.modes import Floats, Image
 from tactiled.restore.noise import IMPLAUSIBLE_KPA
@@ -20,10 +20,8 @@ from tactiled.restore.richardson_lucy import RichardsonLucy
 from tactiled.restore.scene import Restored, Scene, never, pressed_noise_gain
 from tactiled.restore.total_variation import TotalVariation
 from tactiled.restore.wiener import Wiener
-from tactiled.restore.window import Windowed, fits
 
 RL_ITERATIONS = 30  # of Richardson-Lucy, at most
-FAST_RL_ITERATIONS = 24  # 30 are 1 % better at 16 squared, and take over five times the median at times
 BY_HAND = "selected by hand"
 NO_DATA = "no taxel has data, and nothing is known"
 NO_POINTS = "not a few point loads; used NNLS"
@@ -45,6 +43,7 @@ class Restorer:
         self._image = np.zeros(blur.surface_shape, np.float32)
         self._last = nothing  # that was restored, with what lies beyond the array where the method has it
         self._empty = self._filled = False  # the last frame
+        self._knows_unfelt = False  # the last image's deviation
 
     def __call__(
         self,
@@ -75,7 +74,7 @@ class Restorer:
 
     def _own(self, done: Restored) -> Restored:
         """Give what was restored without what lies beyond the array."""
-        self._last = done.image
+        self._last, self._knows_unfelt = done.image, done.method == learned.Learned.name
         if done.image.shape == self._image.shape:
             return done
         np.copyto(self._image, self._scene.inside(done.image))
@@ -94,19 +93,22 @@ class Restorer:
             return np.full(self._image.shape, np.nan)
         scene, spread = self._scene, self._method.deviation()
         unfelt = self._inpainter.deviation() if self._filled else scene.unfelt(scene.spectrum)
+        if self._knows_unfelt:  # beyond the array and between taxels, not of those that are inferred
+            unfelt = np.sqrt(np.maximum(unfelt**2 - scene.unfelt(scene.spectrum) ** 2, 0))
         inside = spread if spread.shape == self._image.shape else scene.inside(spread)
         return np.asarray(np.hypot(inside, scene.inside(unfelt)), float)
 
 
-def require(name: str) -> None:
-    """ConfigError where there is no method of that name."""
-    if name not in METHODS:
+def named(name: str) -> str:
+    """Give the name in METHODS of a method, by that or by an older one; ConfigError where there is none."""
+    if (now := OLD_NAMES.get(name, name)) not in METHODS:
         raise ConfigError(f"method = {name!r}: no such method: choose one of {', '.join(METHODS)}")
+    return now
 
 
 def make(name: str, blur: Blur, noise_kpa: float, noise_ratio: Floats | None = None) -> Restorer:
     """Make the restorer of a method in METHODS, else ConfigError; `noise_ratio` (N,) is as of `weigh`."""
-    require(name)
+    name = named(name)
     if not (np.isfinite(noise_kpa) and noise_kpa > 0):
         raise ConfigError(f"noise = {noise_kpa}: give a taxel's standard deviation, above 0")
     return Restorer(name, blur, float(noise_kpa), noise_ratio)
@@ -156,15 +158,14 @@ class _Raw(Linear):
 
 
 class _RichardsonLucy(Linear):
-    def __init__(self, scene: Scene, name: str) -> None:
+    def __init__(self, scene: Scene) -> None:
         super().__init__(scene)
-        self._name, fast = name, name == "rl-fast"
-        self._solver = RichardsonLucy(scene, FAST_RL_ITERATIONS if fast else RL_ITERATIONS, fast)
+        self._solver = RichardsonLucy(scene, RL_ITERATIONS)
 
     def __call__(self, y: Image) -> Restored:
         self._scene.look(y)
         done = self._solver(self._scene.frame)
-        return self._done(self._solver.image, self._name, done, self._wiener.filter().noise_gain)
+        return self._done(self._solver.image, "rl", done, self._wiener.filter().noise_gain)
 
 
 class _Nonnegative(Linear):
@@ -185,6 +186,11 @@ class _Nonnegative(Linear):
 
     def prepare(self) -> None:
         self._scene.prepare(self._wiener.filter, self._solver.prepare)
+
+    def deviation(self) -> Floats:
+        if isinstance(self._solver, learned.Learned):
+            return learned_deviation(self._scene, self._solver)
+        return super().deviation()
 
 
 def _learned(scene: Scene) -> Linear:
@@ -208,18 +214,14 @@ class _Points(_Nonnegative):
         return self._points.drawing.deviation() if self._points.loads else super().deviation()
 
 
-def _auto(scene: Scene) -> Auto | Windowed:
-    return Windowed(scene) if fits(scene.array) else Auto(scene)
-
-
-METHODS: dict[str, Callable[[Scene], Linear | Auto | Windowed]] = {
-    "auto": _auto,
+METHODS: dict[str, Callable[[Scene], Linear | Auto]] = {
+    "auto": Auto,
     "raw": _Raw,
     "wiener": Linear,
-    "rl": partial(_RichardsonLucy, name="rl"),
-    "rl-fast": partial(_RichardsonLucy, name="rl-fast"),
+    "rl": _RichardsonLucy,
     "nnls": _Nonnegative,
     "tv": partial(_Nonnegative, name="tv"),
     "points": _Points,
     "learned": _learned,
 }
+OLD_NAMES = {"rl-fast": "rl"}  # that configurations, clients and recordings of earlier releases have

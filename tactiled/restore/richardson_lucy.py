@@ -15,8 +15,8 @@ MIN_REACH = 1e-3  # of a cell's pressure that the taxels feel
 class RichardsonLucy:
     """Restores a frame from the frame itself, or from a flat image where cells are finer."""
 
-    def __init__(self, scene: Scene, max_iterations: int, accelerate: bool = False) -> None:
-        self._scene, self._max_iterations, self._accelerate = scene, max_iterations, accelerate
+    def __init__(self, scene: Scene, max_iterations: int) -> None:
+        self._scene, self._max_iterations = scene, max_iterations
         modes = scene.modes
         self._gain = np.asarray(modes.gain, np.float32)
         self._to_taxels, self._to_surface = modes.to_taxels(), modes.head_to_surface()
@@ -49,9 +49,7 @@ class RichardsonLucy:
         else:
             image[...] = max(float(y.mean()), float(self._offset))
         limit, stop = self._max_iterations, STOP_VARIANCE * scene.noise**2
-        done = richardson_lucy(
-            self._forward, self._adjoint, lifted, image, self._weight, limit, stop, self._accelerate
-        )
+        done = richardson_lucy(self._forward, self._adjoint, lifted, image, self._weight, limit, stop)
         scale = scene.force_scale(scene.force - float(np.vdot(scene.cell_reach, image)))
         np.multiply(image, np.float32(scale), out=image)
         return done

@@ -11,6 +11,7 @@ from tactiled.core import readings
 from tactiled.restore.blur import THICKNESS_ERROR, Blur
 from tactiled.restore.kriging import Gaps, make
 from tactiled.restore.modes import Floats, Image
+from tactiled.restore.pressed import Pressed
 from tactiled.restore.prior import CORNERS, Prior, Spectrum
 
 FORCE_BOUNDS = (0.5, 2.0)  # of the scale that restores the total force: outside it the force was not known anyway
@@ -84,6 +85,8 @@ class Scene:
         self.squares = self._analyse.empty()  # c squared
         self.power = self.squares.reshape(-1)
         self.spectrum = self.prior.spectra[0]
+        self._pressed = Pressed(array, noise)
+        self.box = self._pressed.whole  # on the surface that what presses is in
         self.high = self.low = 0.0  # kPa, the frame's largest and smallest
         self._reach = self.cell_reach.reshape(-1)
         self._resolution: dict[Spectrum, float] = {}
@@ -105,7 +108,8 @@ class Scene:
         """Take in a frame without gaps."""
         self.y = y
         self.spectrum = self.prior.pick(y)
-        self.frame = self.kriging(y, self.spectrum)
+        self.box = self._pressed(y)
+        self.frame = self.kriging(y, self.spectrum, self.box)
         self._analyse(self.frame, self.c)
         np.multiply(self.c, self.c, out=self.squares)
 

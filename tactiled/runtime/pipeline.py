@@ -17,7 +17,7 @@ from tactiled.core import readings
 from tactiled.diagnostics.warning_codes import warning
 from tactiled.frames import FrameWarning, Image, RawFrame, StageTimes
 from tactiled.geometry import tiling
-from tactiled.restore.methods import require
+from tactiled.restore.methods import named
 from tactiled.restore.noise import estimate
 from tactiled.restore.scene import Restored, never
 from tactiled.runtime.cover_monitor import CoverMonitor
@@ -59,8 +59,7 @@ class Pipeline:
 
     def set_method(self, name: str) -> None:
         """Restore the next frames by `name`; ConfigError if there is no such method."""
-        require(name)
-        self.method = name
+        self.method = named(name)
 
     def tare(self, time: float, force: bool = False) -> None:
         """Take the mean of the next frames as the unloaded array, at `time` (s, Unix).

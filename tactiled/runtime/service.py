@@ -29,7 +29,7 @@ from tactiled.errors import (
     TactileError,
     UnknownSensorError,
 )
-from tactiled.restore.methods import METHODS, require
+from tactiled.restore.methods import METHODS, OLD_NAMES, named
 from tactiled.runtime.bus_thread import BusThread
 from tactiled.runtime.events import Events, Faults, duration
 from tactiled.runtime.kept_regions import KeptRegions
@@ -123,7 +123,7 @@ class Service:
 
         ConfigError where there is no such method, StateError where it cannot be kept; then nothing has changed.
         """
-        require(method)
+        method = named(method)
         with self._set_lock:
             sensor = self.sensor(name)
             if keep:
@@ -224,7 +224,7 @@ class Service:
         for name, method in self.state.methods.items() if self.state else ():
             if names is not None and name not in names:
                 continue
-            sensor = self.sensors.get(name)
+            sensor, method = self.sensors.get(name), OLD_NAMES.get(method, method)
             if sensor is None or method not in METHODS:
                 self.events.add("state_ignored", f"sensor {name}, method {method}: no longer there")
                 continue

@@ -26,7 +26,6 @@ OURS = {  # mark and colour of our methods, in the order of legends
     "points": ("v", PINK),
     "learned": ("h", PINK),
     "rl": ("s", RED),
-    "rl-fast": ("P", SKY),
 }
 WORSE_COLOUR = "#FBEEE6"  # background of what is worse than the raw image, or under the noise
 FREQUENCY = "spatial frequency q (cycles/mm)"

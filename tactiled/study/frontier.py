@@ -103,7 +103,7 @@ def verdict(panels: Sequence[Panel]) -> Iterator[str]:
         yield f"Not compared, as they are not installed (extra `peers`): {', '.join(names)}."
 
 
-COLUMNS = ("auto", "raw", "wiener", "rl-fast")
+COLUMNS = ("auto", "raw", "wiener", "rl")
 HEADINGS = ("cover", "noise", *COLUMNS, "best of other libraries", "floor", "beats auto in both")
 
 

@@ -16,7 +16,7 @@ from tactiled.cover.summary import summarise
 from tactiled.frames import Image
 from tactiled.geometry import tiling
 from tactiled.interop.zenoh_sensor import RemoteSensor
-from tactiled.restore.methods import METHODS
+from tactiled.restore.methods import METHODS, OLD_NAMES
 from tactiled.runtime.sensor import Sensor, Status
 from tactiled.units import FORCE_UNITS, Unit, if_calibrated
 from tactiled.web import calibration_schemas, schemas
@@ -207,11 +207,12 @@ def geometry(sensor: SensorView) -> schemas.Geometry:
 
 def method(service: "Service", sensor: Sensor) -> schemas.Method:
     """How a sensor's frames are restored, and would be after a restart."""
-    after_restart = service.state.methods.get(sensor.name) if service.state else None
+    after_restart = service.state.methods.get(sensor.name, "") if service.state else ""
+    kept = OLD_NAMES.get(after_restart, after_restart)
     return schemas.Method(
         method=sensor.method,
         configured=sensor.plan.method,
-        kept=after_restart if after_restart in METHODS else None,
+        kept=kept if kept in METHODS else None,
     )
 
 

@@ -66,26 +66,80 @@ def test_shapes_that_do_not_fit_are_refused():
         wrong[n] = np.ascontiguousarray(array[..., :-1])
         with pytest.raises(ValueError, match="do not fit"):
             network.redraw(*wrong)
-    z, U, h, other = out, arrays[0][0], out.copy(), out[:, :11].copy()
-    for wrong in range(6):
-        each = [other if n == wrong else value for n, value in enumerate((z, U, U, U, h, h))]
+    every, image = stages(np.random.default_rng(1), 5, 12, 12), np.empty((12, 12), np.float32)
+    for n, array in enumerate(every):
+        wrong = every.copy()
+        wrong[n] = np.ascontiguousarray(array[..., :-1])
         with pytest.raises(ValueError, match="do not fit"):
-            network.hold(*each, 1.0, out)
-    with pytest.raises(ValueError, match="do not fit"):
-        network.misfit(z, U, U, h, other, 1.0, 1.0)
+            network.restore(*wrong, (0, 12, 0, 12), image)
+    for within in ((-1, 12, 0, 12), (0, 13, 0, 12), (0, 12, 5, 5), (0, 12, 0, 13)):
+        with pytest.raises(ValueError, match="do not fit"):
+            network.restore(*every, within, image)
+    known = [images(np.random.default_rng(1), *shape) for shape in ((3,), (3,), (3,), (4, 2), (3, 5), (5,))]
+    for n, array in enumerate(known):
+        with pytest.raises(ValueError, match="do not fit"):
+            network.tune(*known[:n], np.ascontiguousarray(array[..., :-1]), *known[n + 1 :])
 
 
-@given(SIDES, SIDES, st.floats(0.01, 1), st.floats(0.01, 1), st.integers(0, 9), st.floats(1e-3, 10))
-def test_an_image_is_held_to_a_frame_and_misses_it_by_so_much(rows, columns, low, across, seed, firmness):
+def stages(random, filters, rows, columns):
+    """All that a restoration takes, but its image: of two stages."""
+    parts = [stage(random, 3, filters, rows, columns) for _ in range(2)]
+    layers, fixed, kernels, scales, offsets, draw = (np.stack(each) for each in zip(*parts, strict=True))
+    tuned = np.concatenate([scales, offsets, scales[:, :1]], axis=1)
+    bases = (np.linalg.qr(random.standard_normal((n, n)))[0][:, : max(n // 2, 1)] for n in (rows, columns))
+    down, across = (np.ascontiguousarray(each, np.float32) for each in bases)
+    shape, firmness = (down.shape[1], across.shape[1]), np.array([0.5, 2.0], np.float32)
+    return [
+        layers[0],
+        fixed,
+        kernels,
+        tuned,
+        draw,
+        down,
+        across,
+        abs(images(random, *shape)),
+        images(random, *shape),
+        firmness,
+    ]
+
+
+@given(SIDES, SIDES, st.integers(0, 9), st.data())
+def test_stages_redraw_in_turn_and_hold_to_the_frame_what_is_within_a_part(rows, columns, seed, data):
+    rows, filters = max(rows, 4), 5
+    layers, fixed, kernels, tuned, draw, down, across, gain, c, firmness = stages(
+        np.random.default_rng(seed), filters, rows, columns
+    )
+    first, left = data.draw(st.integers(0, rows - 4)), data.draw(st.integers(0, columns - 1))
+    end, right = data.draw(st.integers(first + 4, rows)), data.draw(st.integers(left + 1, columns))
+    part = slice(first, end), slice(left, right)
+    linear, U, V = layers[2][part], down[part[0]].astype(float), across[part[1]].astype(float)
+    held, image = np.maximum(linear, 0), linear
+    for n in range(2):
+        seen = np.stack([held, image, linear]).astype(np.float32)
+        drawn, there = np.empty(linear.shape, np.float32), np.zeros((filters, *linear.shape), np.float32)
+        there[...] = fixed[n][:, *part]
+        there = np.ascontiguousarray(np.pad(there, ((0, 0), (0, 0), (0, 1))))
+        network.redraw(seen, there, kernels[n], tuned[n, :filters], tuned[n, filters:-1], draw[n], drawn)
+        image = seen[0] + drawn
+        held = image + U @ (gain * (c - gain * (U.T @ image @ V)) / (gain**2 + firmness[n])) @ V.T
+    out = np.empty((rows, columns), np.float32)
+    network.restore(
+        layers, fixed, kernels, tuned, draw, down, across, gain, c, firmness, (first, end, left, right), out
+    )
+    rounding = 1e-5 * abs(seen).max()
+    np.testing.assert_allclose(layers[:, *part], seen, atol=rounding)
+    np.testing.assert_allclose(out[part], np.maximum(held, 0), atol=100 * rounding)
+    out[part] = layers[:2, *part] = 0
+    assert not out.any()
+    assert not layers[:2].any()
+
+
+@given(st.integers(1, 20), st.integers(1, 40), st.integers(1, 99), st.integers(0, 9))
+def test_a_network_is_tuned_by_what_is_known_within_bounds(known, units, count, seed):
     random = np.random.default_rng(seed)
-    K, L = max(1, int(rows * low)), max(1, int(columns * across))
-    U, V = (np.linalg.qr(random.standard_normal((n, n)))[0][:, :m] for n, m in ((rows, K), (columns, L)))
-    z, c, h = images(random, rows, columns), images(random, K, L), abs(images(random, K, L))
-    bases = [np.ascontiguousarray(each, np.float32) for each in (U, V, V.T)]
-    out = np.empty_like(z)
-    network.hold(z, *bases, h, c, firmness, out)
-    missed = c - h * (U.T @ z @ V)
-    expected = z + U @ (h * missed / (h**2 + firmness)) @ V.T
-    np.testing.assert_allclose(out, expected, atol=1e-5 * (1 + abs(c).max() / firmness**0.5))
-    found = network.misfit(z, *bases[:2], h, c, 0.25, 0.5)
-    assert found == pytest.approx((missed**2 / ((0.25 * h) ** 2 * (z**2).mean() + 0.25)).mean(), rel=1e-4)
+    shapes = (known,), (known,), (known,), (known + 1, units), (units + 1, count), (count,)
+    k, low, high, hidden, tuned, out = (images(random, *shape) for shape in shapes)
+    low, high = np.minimum(low, high), np.maximum(low, high)
+    network.tune(k, low, high, hidden, tuned, out)
+    unit = np.maximum(np.append(np.clip(k, low, high), 1) @ hidden.astype(float), 0)
+    np.testing.assert_allclose(out, np.append(unit, 1) @ tuned, atol=1e-4 * (1 + unit.max()))

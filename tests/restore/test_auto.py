@@ -154,19 +154,18 @@ def test_an_image_that_was_cut_short_is_the_best_so_far(covered, sensed):
     truth[10:13, 10:13] = 100
     frame, auto = sensed(truth, 2.0), make("auto", covered(SHAPE, 2.0), SIGMA)
     errors = {}
-    for n in (0, 1, 100):  # times that there is time left
+    for n in (0, 100):  # times that there is time left
         checks = iter([False] * n)
         done = auto(frame, expired=lambda checks=checks: next(checks, True))
         errors[n] = nrmse(done.image, truth), done.iterations, done.cut_short
-    assert [each[2] for each in errors.values()] == [True, True, False]
-    assert errors[0][1] == 0 < errors[1][1] < errors[100][1]
-    assert errors[0][0] > errors[1][0] > errors[100][0]
+    assert [each[1:] for each in errors.values()] == [(0, True), (3, False)]
+    assert errors[0][0] > errors[100][0]
 
 
 def test_where_no_load_is_fitted_no_time_for_it_is_missed(covered, sensed):
     truth = np.zeros(SHAPE)
     truth[8:16, 8:16] = 100
-    checks = iter([False] * 3)  # of the network's stages
+    checks = iter([False])  # of the network
     done = make("auto", covered(SHAPE, 2.0), SIGMA)(sensed(truth, 2.0), expired=lambda: next(checks, True))
     assert (done.method, done.iterations, done.cut_short) == ("learned", 3, False)
 

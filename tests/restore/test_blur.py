@@ -72,18 +72,6 @@ def test_pressure_is_smooth_between_the_cells(thickness, refine):
     assert errors[1] > 3 * errors[0]
 
 
-@pytest.mark.parametrize("refine", [1, 2])
-def test_a_part_cut_out_is_the_blur_where_nothing_is_around(covered, refine):
-    full = covered((12, 10), refine=refine)
-    part = full.cut((7, 6))
-    image = np.outer(*(np.hanning(n) for n in part.surface_shape))
-    embedded = np.zeros(full.surface_shape)
-    embedded[2 * refine : 9 * refine, 3 * refine : 9 * refine] = image
-    inside = full.forward(embedded)[2:9, 3:9]
-    np.testing.assert_allclose(part.forward(image), inside, atol=5e-3 * inside.max())
-    assert part.cell_mm == full.cell_mm
-
-
 @pytest.mark.parametrize("thickness", [0.5, 1.0, 3.0])
 @pytest.mark.parametrize("refine", [1, 2])
 def test_modes_are_orthonormal_and_come_near_the_blur(covered, thickness, refine):

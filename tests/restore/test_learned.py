@@ -10,8 +10,8 @@ from tactiled.restore.wiener import Wiener
 from tactiled.study.skin import nrmse, rubber
 from tests.plans import plan
 from tests.study.judge import own
-from tests.study.presses import FAMILIES, PAPER, presses
-from tests.study.train import Cover, batch, network, samples
+from tests.study.presses import FAMILIES, presses
+from tests.study.train import Skin, arrays, network, samples
 
 
 @pytest.fixture(scope="module")
@@ -19,43 +19,50 @@ def pressed():
     return list(presses(24, (1.0, 2.0), (0.01,), 2, seed=4, scenes=FAMILIES["second"]))
 
 
-@pytest.mark.parametrize("material", [{}, PAPER], ids=["rubber", "film"])
-def test_it_is_the_network_that_was_trained(material, monkeypatch):
+@pytest.mark.parametrize("number", [0, 6, 7, 13], ids=["grid", "ends with the taxels", "refined", "triangle"])
+def test_it_is_the_network_that_was_trained(number, monkeypatch):
     """Made anew for one frame at a time, on buffers."""
-    cover = Cover(1.25, material)
-    random, frames, see = np.random.default_rng(1), [], cover.inputs
+    random, frames = np.random.default_rng(1), []
+    skin = Skin(*arrays()[number], 1.25, number % 2, random)
+    see = skin.inputs
 
     def seen(frame):
         frames.append(np.asarray(frame, np.float32))
         return see(frame)
 
-    monkeypatch.setattr(cover, "inputs", seen)
+    monkeypatch.setattr(skin, "inputs", seen)
     monkeypatch.setattr(Scene, "keep_force", lambda *_: None)
-    inputs, _ = batch([cover], samples([cover], 6, 3), random, 8)
-    expected = network(learned.weights()._asdict(), inputs)[-1]
-    scene = Scene(cover.skin.blur, 1.0)
-    wiener = Wiener(scene)
-    restorer = learned.Learned(scene, wiener)
-    for frame, image, noise in zip(frames, expected, inputs[3], strict=True):
-        scene.look(frame)
+    *inputs, _ = skin.samples(8, random)
+    fixed = (np.repeat(each[None], 8, axis=0) for each in (skin.maps, *skin.bases))
+    images, doubts = network(learned.weights()._asdict(), (*inputs, *fixed))
+    wiener = Wiener(skin.scene)
+    restorer = learned.Learned(skin.scene, wiener)
+    for frame, image, doubt, noise in zip(frames, images[-1], doubts, inputs[3], strict=True):
+        skin.scene.look(frame)
         assert restorer(wiener()) == 3
-        np.testing.assert_allclose(restorer.image * noise, image, atol=1e-5)
+        np.testing.assert_allclose(restorer.image * noise, image, atol=1e-4)
+        np.testing.assert_allclose(
+            restorer.deviation() * noise, np.exp(np.minimum(doubt, learned.MAX_DOUBT)), rtol=1e-3
+        )
 
 
 def test_samples_are_the_same_for_the_same_seed_and_looked_up(tmp_path):
-    cover = Cover(2.0, {})
-    first, again, other = samples([cover], 3, 5, tmp_path), samples([cover], 3, 5), samples([cover], 3, 6)
-    stored = samples([cover], 3, 5, tmp_path)
-    for a, b, c in zip(first, again, stored, strict=True):
-        np.testing.assert_array_equal(a, b)
-        np.testing.assert_array_equal(a, c)
-    assert not np.array_equal(first[1], other[1])
+    def drawn(seed, cache):
+        (path,) = samples(1, 4, seed, tmp_path / cache, 0)
+        return dict(np.load(path))
+
+    first, again, stored, other = drawn(5, ""), drawn(5, "again"), drawn(5, ""), drawn(6, "")
+    for name, each in first.items():
+        np.testing.assert_array_equal(each, again[name])
+        np.testing.assert_array_equal(each, stored[name])
+    assert not np.array_equal(first["truths"], other["truths"])
 
 
-def test_it_is_nearer_to_the_truth_than_total_variation_on_scenes_that_it_never_saw(pressed):
-    methods = {name: own(name) for name in ("learned", "tv")}
-    errors = {name: [nrmse(run(each), each.truth) for each in pressed] for name, run in methods.items()}
-    assert np.mean(errors["learned"]) < 0.95 * np.mean(errors["tv"])
+@pytest.mark.parametrize(("noise", "bound"), [(0.01, 1.0), (0.05, 0.95)])
+def test_it_is_nearer_to_the_truth_than_total_variation_on_scenes_that_it_never_saw(noise, bound):
+    scenes = list(presses(24, (1.0, 2.0), (noise,), 2, seed=4, scenes=FAMILIES["second"]))
+    errors = {name: [nrmse(own(name)(each), each.truth) for each in scenes] for name in ("learned", "tv")}
+    assert np.mean(errors["learned"]) < bound * np.mean(errors["tv"])
 
 
 def test_its_image_explains_the_frame(pressed):
@@ -79,8 +86,8 @@ def test_the_unit_of_pressure_does_not_matter(pressed, factor):
     [
         (lambda: rubber(1.0, 16).blur, True),
         (lambda: plan((9, 30), 1.0).blur, True),
-        (lambda: rubber(0.2, 16).blur, False),
-        (lambda: rubber(6.0, 16).blur, False),
+        (lambda: rubber(0.08, 16).blur, False),
+        (lambda: rubber(9.0, 16).blur, False),
         (lambda: plan((1, 16), 1.0).blur, False),
         (lambda: plan((4, 6), 1.0, refine=2).blur, True),
         (lambda: plan((6, 6), 1.0, layout=True).blur, True),
@@ -96,22 +103,16 @@ def test_it_is_used_where_it_was_trained_for(blur, expected):
     assert expected or "restored by nnls" in done.why
 
 
-def test_the_image_of_dots_between_taxels_explains_the_frame_in_little_noise():
-    """Its cells cannot follow them: what they miss is the image's error, no wrong model."""
-    for press in presses(32, (0.7, 1.0, 1.5), (0.002,), 4, 41, ("braille",)):
-        assert make("learned", press.blur, press.sigma)(press.frame).iterations == 3
-
-
-def test_a_frame_that_the_model_does_not_explain_is_restored_warily(pressed):
-    """Three in a hundred taxels read zero, and nothing says so."""
-    ratios = []
-    for n, press in enumerate(pressed):
-        assert make("learned", press.blur, press.sigma)(press.frame).iterations == 3
-        dead = np.random.default_rng(n).random(press.frame.shape) < 0.03
-        frame = np.where(dead, 0, press.frame).astype(np.float32)
-        done = make("learned", press.blur, press.sigma)(frame)
-        if done.iterations > 3:
-            flat = make("tv", press.blur, press.sigma)(frame).image
-            ratios.append(nrmse(done.image, press.truth) / nrmse(flat, press.truth))
-    assert len(ratios) > len(pressed) / 2
+def test_faults_that_nothing_tells_of_harm_it_less_than_total_variation_and_its_deviation_knows(pressed):
+    """Three in a hundred taxels read zero, or gains are 10 % off."""
+    random, ratios, within = np.random.default_rng(1), [], []
+    for press in pressed:
+        for fault in (random.random(press.frame.shape) > 0.03, 1 + 0.1 * random.normal(size=press.frame.shape)):
+            frame = (fault * press.frame).astype(np.float32)
+            restorer = make("learned", press.blur, press.sigma)
+            image, flat = restorer(frame).image, make("tv", press.blur, press.sigma)(frame).image
+            ratios.append(nrmse(image, press.truth) / nrmse(flat, press.truth))
+            there = press.truth > 0.02 * press.truth.max()
+            within.append(np.mean((abs(image - press.truth) < 2 * restorer.deviation())[there]))
     assert np.mean(ratios) < 0.9
+    assert np.mean(within) > 0.9

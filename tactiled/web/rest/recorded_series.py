@@ -9,7 +9,7 @@ from starlette.responses import Response, StreamingResponse
 
 from tactiled.archive import csv_table
 from tactiled.contacts.regions import TOTAL, Measures, Region
-from tactiled.restore.methods import require
+from tactiled.restore.methods import named
 from tactiled.runtime.playback import Playback
 from tactiled.runtime.recorded_frames import RecordedFrames
 from tactiled.runtime.recorded_series import (
@@ -88,8 +88,7 @@ def answer(
 ) -> Response:
     """A recording's series as far as it is measured; Problem where it cannot be measured now."""
     where = f"recording {recorded.path.name}"
-    regions, method = _regions(sensor, query.regions), query.method or sensor.method
-    require(method)
+    regions, method = _regions(sensor, query.regions), named(query.method or sensor.method)
     if recorded.reading:
         raise Problem(409, f"{where}: is not read to its end yet", SOON)
     try:

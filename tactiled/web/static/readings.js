@@ -14,7 +14,7 @@ import { Alerts } from "./warnings.js";
 /** What each method is called. */
 const METHOD_TITLES = {
   auto: "Automatic", raw: "None, as measured", wiener: "Wiener filter", rl: "Richardson–Lucy",
-  "rl-fast": "Richardson–Lucy, fast", nnls: "Non-negative (NNLS)",
+  "rl-fast": "Richardson–Lucy", nnls: "Non-negative (NNLS)",
   tv: "Non-negative, total variation", points: "A few points", learned: "Learned network",
   idle: "idle",
 };

@@ -1,0 +1,19 @@
+import numpy as np
+from numpy.typing import NDArray
+
+_Array = NDArray[np.float32]
+_Indices = NDArray[np.int64]
+
+def box(
+    y: _Array, rows: _Indices, columns: _Indices, threshold: float, margin: int
+) -> tuple[int, int, int, int, int, float, float, float]: ...
+def complete(
+    matrix: _Array,
+    y: _Array,
+    rows: _Indices,
+    columns: _Indices,
+    top: int,
+    left: int,
+    box: tuple[int, int, int, int],
+    frame: _Array,
+) -> None: ...
