@@ -23,9 +23,14 @@ schemathesis.openapi.media_type(
     "application/vnd.tactiled.calibration+json", st.just(calibration_file().text.encode())
 )
 
-NOT_IN_A_SCHEMA = [  # that most bytes are no recording, and that `first` and `at` exclude each other
+# That most bytes are no recording, that `first` and `at` exclude each other, how many values a pushed frame has.
+NOT_IN_A_SCHEMA = [
     {"include-name": route, "checks": {"positive_data_acceptance": {"enabled": False}}}
-    for route in ("PUT /api/v1/recordings/{name}", "GET /api/v1/recordings/{name}/frames")
+    for route in (
+        "PUT /api/v1/recordings/{name}",
+        "GET /api/v1/recordings/{name}/frames",
+        "POST /api/v1/sensors/{name}/frames",
+    )
 ]
 
 
@@ -64,10 +69,11 @@ def test_no_generated_request_finds_a_fault(url):
     checked, faults = set(), []
     for event in from_schema(schema).execute():
         if isinstance(event, events.ScenarioFinished):
-            for check in (each for checks in event.recorder.checks.values() for each in checks):
+            for case, check in ((case, each) for case, checks in event.recorder.checks.items() for each in checks):
                 checked.add(check.name)
                 if check.failure_info:
-                    faults.append(f"{event.recorder.label}: {check.failure_info.failure}")
+                    asked = event.recorder.cases[case].value.as_curl_command()
+                    faults.append(f"{event.recorder.label}: {check.failure_info.failure}\n{asked}")
         elif isinstance(event, (events.NonFatalError, events.FatalError)):
             faults.append(str(getattr(event, "info", event)))
     assert not faults, "\n\n".join(faults)
