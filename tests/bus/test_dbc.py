@@ -8,11 +8,12 @@ import pytest
 
 from tactiled.build import make_codec, sensor_plan, sensor_plans
 from tactiled.bus.assembler import assemble
-from tactiled.bus.codecs.dbc import Dbc, expand
+from tactiled.bus.codecs.dbc import Dbc, expand, numbered
 from tactiled.calibrate.means import Rails
 from tactiled.config import load, parse
 from tactiled.errors import CodecError, ConfigError
 from tactiled.frames import BAD, Message
+from tactiled.geometry import grid
 from tests.bus.skins import CODECS, CONFIG, DBC, GRID, payloads_of
 
 PAGE = 0x18FF0065
@@ -104,6 +105,7 @@ def sensor(folder, codec, array=ROWS, content=None):
     ("taxels", "array"),
     [
         (TEMPLATE, ROWS),
+        ('taxels = "Row{message}.T{message}_{signal}"', ROWS),
         (f"taxels = {list(GRID)}", "positions_mm = [[0,0],[4,0],[8,0],[0,4],[4,4],[8,4]], aperture_mm = 3"),
     ],
 )
@@ -136,6 +138,14 @@ def test_a_template_may_count_from_1_and_pad():
     assert expand("M.T{taxel}", None, 3, 0) == ("M.T0", "M.T1", "M.T2")
 
 
+def test_a_template_may_number_messages_that_hold_unequal_counts_of_taxels():
+    line, names = grid(1, 5, 1.0), ("M1.T1", "M1.T2", "M2.T3", "M2.T4", "M3.T5")
+    assert numbered("M{message}.T{taxel}", line, 1, names) == names
+    names = ("M0.S0", "M0.S1", "M1.S0", "M1.S1", "M2.S0")
+    assert numbered("M{message}.S{signal}", line, 0, names) == names
+    assert numbered("M0.S{taxel}", grid(1, 2, 1.0), 0, names) == names[:2]
+
+
 @pytest.mark.parametrize(
     ("settings", "reason"),
     [
@@ -143,6 +153,8 @@ def test_a_template_may_count_from_1_and_pad():
         ('taxels = "Row{row}.T{row}_{col}"',
          r"'Row\{row\}.T\{row\}_\{col\}': 'col': a template may hold \{taxel\}, \{row\}, \{column\}"),
         (f"{TEMPLATE}, first = 1", r"names 'Row1.T1_3': skin.dbc has no such signal: did you mean Row"),
+        ('taxels = "Row{message}.T{message}_{column}", first = 1', "file has no Row2.T2_3: it has names for 2"),
+        ('taxels = "Row{message}.T0_0"', "the file has no Row1.T0_0: it has names for 1 of 6 taxels"),
         ('taxels = ["@"]', "names '@': skin.dbc has no such signal: it has 23 signals"),
         ('taxels = ["Row0.T0_0", "Row0.T0_0"]', "names Row0.T0_0 twice"),
         ('taxels = ["Pages.Page"]', "Pages.Page, which comes with several variants"),

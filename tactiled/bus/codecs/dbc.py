@@ -4,8 +4,9 @@ Counts are what stands in the messages: the file's scale and offset are left to 
 """
 
 import difflib
+import itertools
 import struct
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -106,14 +107,17 @@ class Settings(Skin):
     file: FileBeside
     """DBC file; a relative path starts at the folder of the configuration file."""
     taxels: Annotated[str | tuple[str, ...], Field(min_length=1)]
-    """`Message.Signal` of every taxel in a list, or one template with {row}, {column} or {taxel}."""
+    """`Message.Signal` of each taxel, or one template with {row}, {column}, {taxel}, {message}, {signal}."""
     first: Literal[0, 1] = 0
-    """Number of a template's first row, column and taxel."""
+    """First number of whatever a template counts."""
 
     def codec(self, array: Array) -> Dbc:
         """The codec for an array; ConfigError where file or taxels are at fault."""
         if isinstance(self.taxels, tuple):
             return Dbc(self.file, self.taxels)
+        if any(key in self.taxels for key in ("{message", "{signal")):
+            known = {name for name, *_ in _named(_load(self.file))}
+            return Dbc(self.file, numbered(self.taxels, array, self.first, known))
         return Dbc(self.file, expand(self.taxels, array.shape, array.size, self.first))
 
 
@@ -125,17 +129,47 @@ def expand(template: str, shape: tuple[int, int] | None, size: int, first: int) 
 
     ConfigError where it holds anything else, or rows where there is no grid (`shape` None).
     """
-    names = []
-    for taxel in range(size):
-        numbers = {"taxel": taxel + first}
-        if shape is not None:
-            numbers |= {"row": taxel // shape[1] + first, "column": taxel % shape[1] + first}
-        try:
-            names.append(template.format(**numbers))
-        except (KeyError, IndexError, ValueError, AttributeError) as error:
-            keys = ", ".join(f"{{{each}}}" for each in numbers)
-            raise ConfigError(f"codec.taxels = {template!r}: {error}: a template may hold {keys}") from error
-    return tuple(names)
+    return tuple(_name(template, _place(taxel, shape, first)) for taxel in range(size))
+
+
+def numbered(template: str, array: Array, first: int, known: Collection[str]) -> tuple[str, ...]:
+    """The signal of every taxel where messages are numbered, each filled before the next one begins.
+
+    {message} counts messages and {signal} the taxels of one message, both from `first`; a message ends where the
+    file's names (`known`) do. ConfigError where the names end before the array.
+    """
+    names: list[str] = []
+    for message in itertools.count(first):
+        begin = len(names)
+        for signal in itertools.count(first):
+            place = _place(len(names), array.shape, first)
+            name = _name(template, {"message": message, "signal": signal} | place)
+            if name not in known or name in names[begin:]:
+                break
+            names.append(name)
+            if len(names) == array.size:
+                return tuple(names)
+        if len(names) == begin:
+            raise ConfigError(
+                f"codec.taxels = {template!r}: the file has no {name}: it has names for {begin} of "
+                f"{array.size} taxels"
+            )
+    raise AssertionError
+
+
+def _place(taxel: int, shape: tuple[int, int] | None, first: int) -> dict[str, int]:
+    place = {"taxel": taxel + first}
+    if shape is not None:
+        place |= {"row": taxel // shape[1] + first, "column": taxel % shape[1] + first}
+    return place
+
+
+def _name(template: str, numbers: dict[str, int]) -> str:
+    try:
+        return template.format(**numbers)
+    except (KeyError, IndexError, ValueError, AttributeError) as error:
+        keys = ", ".join(f"{{{each}}}" for each in numbers)
+        raise ConfigError(f"codec.taxels = {template!r}: {error}: a template may hold {keys}") from error
 
 
 def _load(file: Path) -> "Database":
@@ -150,11 +184,15 @@ def _load(file: Path) -> "Database":
         raise ConfigError(f"codec.file = {str(file)!r}: {reason}") from error
 
 
+def _named(database: "Database") -> Iterator[tuple[str, "Layout", "Signal"]]:
+    for layout in database.messages:
+        for each in layout.signals:
+            yield f"{layout.name}.{each.name}", layout, each
+
+
 def _signals(database: "Database", file: Path, names: Sequence[str]) -> Iterator[tuple["Layout", "Signal"]]:
     """The message and the signal of every name; ConfigError for one that is not there, or there twice."""
-    signals = {
-        f"{layout.name}.{each.name}": (layout, each) for layout in database.messages for each in layout.signals
-    }
+    signals = {name: (layout, each) for name, layout, each in _named(database)}
     for at, name in enumerate(names):
         if name in names[:at]:
             raise ConfigError(f"codec.taxels names {name} twice: every taxel has a signal of its own")
