@@ -16,11 +16,11 @@ import hypothesis
 import numpy as np
 import pytest
 
+from tactiled import processes
 from tactiled.bus.reader import open_bus
 from tactiled.config import Server, parse
+from tactiled.live.service import Service
 from tactiled.logs import HANDLER
-from tactiled.runtime import fit_process
-from tactiled.runtime.service import Service
 from tactiled.web.server import running
 from tests.process import free_port
 
@@ -29,7 +29,7 @@ signal.signal(signal.SIGINT, signal.default_int_handler)
 
 BUSY_S = 60.0  # that a machine may be busy with other things
 # Where other processes have every core for minutes, what waits for them all does not end in that time.
-NICENESS, fit_process.NICENESS = fit_process.NICENESS, 0
+NICENESS, processes.NICENESS = processes.NICENESS, 0
 hypothesis.settings.register_profile(
     "busy", deadline=None, suppress_health_check=[hypothesis.HealthCheck.too_slow]
 )

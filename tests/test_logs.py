@@ -9,7 +9,7 @@ import pytest
 
 from tactiled import logs
 from tactiled.config import parse
-from tactiled.runtime.events import Events
+from tactiled.live.events import Events
 from tests.conftest import CONFIG, ask, problem
 
 UTC_TIME = re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\.\d{3}\+00:00")

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from tactiled.interop import foxglove
-from tactiled.runtime.noise import NOISE_FRAMES
+from tactiled.live.noise import NOISE_FRAMES
 from tactiled.web.rest.drawing import draw
 from tactiled.web.rest.picture import picture
 from tactiled.web.server import running

@@ -18,8 +18,8 @@ from tactiled.contacts.regions import Measures, Region, RegionMeter, measure_uni
 from tactiled.errors import ConfigError
 from tactiled.files import sha256
 from tactiled.frames import FLAG_BITS, Message
-from tactiled.runtime.noise import measure_noise
-from tactiled.runtime.pipeline import Pipeline
+from tactiled.live.pipeline import Pipeline
+from tactiled.recorded.noise import measure_noise
 from tactiled.units import LENGTH, PRESSURE, SHEAR
 
 UNITS = {"time": "seconds since 1970-01-01", "positions_mm": LENGTH, "cells_mm": LENGTH}  # by the CF conventions

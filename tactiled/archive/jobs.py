@@ -14,7 +14,7 @@ from tactiled.build import SensorPlan, configured_file, make_codec, sensor_plan
 from tactiled.calibrate.calibration_file import CalibrationFile
 from tactiled.config import schema
 from tactiled.frames import CONFIGURED
-from tactiled.runtime.offline import Offline, open_frames
+from tactiled.recorded.offline import Offline, open_frames
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,7 +15,7 @@ from tactiled.build import SensorPlan
 from tactiled.contacts.regions import Measures
 from tactiled.frames import Image, Message
 from tactiled.interop import ros
-from tactiled.runtime.contact_tracking import ImageContacts
+from tactiled.live.contact_tracking import ImageContacts
 from tactiled.units import nanoseconds
 
 VERSION: Literal[8] = 8  # of metadata.yaml: Iron's, which later ones read, and Humble as far as it knows its keys

@@ -14,7 +14,7 @@ from tactiled.build import SensorPlan
 from tactiled.contacts.regions import Measures
 from tactiled.frames import Image, Message
 from tactiled.interop import rerun_images
-from tactiled.runtime.contact_tracking import ImageContacts
+from tactiled.live.contact_tracking import ImageContacts
 
 COPY_BYTES = 1 << 20  # at once
 

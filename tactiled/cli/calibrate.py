@@ -23,7 +23,7 @@ from tactiled.config import schema
 from tactiled.errors import ConfigError
 from tactiled.files import sha256
 from tactiled.geometry import Array
-from tactiled.runtime.frame_series import read_frame_series
+from tactiled.recorded.counts import read_frame_series
 from tactiled.units import number_text
 
 if TYPE_CHECKING:

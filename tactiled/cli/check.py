@@ -15,10 +15,10 @@ from tactiled.cli.sniff import listen, survey_lines
 from tactiled.config import Config, load, tls
 from tactiled.cover.summary import CoverSummary, summarise
 from tactiled.interop.foxglove import need
+from tactiled.live.service import Service
+from tactiled.live.state import StateFile
 from tactiled.plausibility.settings import Finding, config_findings, unedited
 from tactiled.plausibility.traffic import bus_report
-from tactiled.runtime.service import Service
-from tactiled.runtime.state import StateFile
 
 EXIT_DOUBTFUL = 1
 NO_GAP_MM = 1e3  # wider than any array

@@ -27,7 +27,7 @@ from tactiled.config.example import EXAMPLE, GRASP, SHEAR
 from tactiled.config.schema import LOOPBACK
 from tactiled.errors import ConfigError
 from tactiled.frames import Message
-from tactiled.runtime.service import Service
+from tactiled.live.service import Service
 from tactiled.simulate import Player, play
 from tactiled.web.server import serve
 

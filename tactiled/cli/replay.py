@@ -14,9 +14,9 @@ from tactiled.cli import options
 from tactiled.cli.app import stoppable
 from tactiled.config import Config, Server, load, validated
 from tactiled.errors import ConfigError
-from tactiled.runtime.noise import measure_noise
-from tactiled.runtime.sensor import REPLAYED, Sensor
-from tactiled.runtime.service import Service
+from tactiled.live.sensor import REPLAYED, Sensor
+from tactiled.live.service import Service
+from tactiled.recorded.noise import measure_noise
 from tactiled.web.server import serve
 
 

@@ -20,8 +20,8 @@ from tactiled.config import schema
 from tactiled.config.load import validated
 from tactiled.errors import ConfigError
 from tactiled.files import whole_file
+from tactiled.recorded.offline import FrameInfo
 from tactiled.restore.methods import METHODS
-from tactiled.runtime.offline import FrameInfo
 
 LAYER = "T,E,NU: thickness in mm, Young's modulus in MPa, Poisson's ratio of a layer of the cover"
 PROGRESS_FROM_FRAMES = 2000  # fewer take about a second

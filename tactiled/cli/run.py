@@ -17,7 +17,7 @@ from tactiled.cli.check import findings_of, prepared
 from tactiled.config import Server, validated
 from tactiled.errors import ConfigError
 from tactiled.interop.rerun_live import to_viewer
-from tactiled.runtime.service import Service
+from tactiled.live.service import Service
 from tactiled.threads import limit_heaps
 from tactiled.web.server import publish, serve
 

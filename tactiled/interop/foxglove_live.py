@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING
 from tactiled.errors import TactileError
 from tactiled.frames import Image
 from tactiled.interop import foxglove
-from tactiled.runtime.sensor import Sensor
+from tactiled.live.sensor import Sensor
 from tactiled.units import Unit, nanoseconds
 
 with suppress(ImportError):  # `foxglove.need` says so
     import foxglove as sdk
 
 if TYPE_CHECKING:
-    from tactiled.runtime.service import Service
+    from tactiled.live.service import Service
 
 STATE_EVERY_S = 1.0  # between two messages on a sensor's state, at most
 CONTACTS_EVERY_S = 0.05  # between two messages on contacts, at least

@@ -8,7 +8,7 @@ from importlib.util import find_spec
 
 from tactiled.errors import ConfigError
 from tactiled.frames import Image
-from tactiled.runtime.service import Service
+from tactiled.live.service import Service
 
 IMAGES_PER_S = 30.0  # of each sensor; the viewer keeps all of them in memory
 FLUSH_IMAGES = 10  # from one flush to the next, which shows whether the viewer is still there

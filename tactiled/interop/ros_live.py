@@ -21,7 +21,7 @@ from tactiled.frames import Image
 from tactiled.interop import ros
 from tactiled.interop.ros_types import RELIABLE, TRIGGER_RESPONSE
 from tactiled.interop.zenoh_session import REQUEST_S, Answer, Request
-from tactiled.runtime.sensor import Sensor
+from tactiled.live.sensor import Sensor
 
 if TYPE_CHECKING:
     import zenoh

@@ -15,8 +15,8 @@ from tactiled.interop import zenoh_messages as messages
 from tactiled.interop.zenoh_robots import MAX_NAMES, MAX_SESSIONS, QUIET_S, Budget, Robot
 from tactiled.interop.zenoh_sensor import MAX_SKEW_S, Line, RemoteSensor
 from tactiled.interop.zenoh_session import Answer, Head, Request, unpack
-from tactiled.runtime.events import Events, Faults, Kind
-from tactiled.runtime.watch import STATE_EVENTS
+from tactiled.live.events import Events, Faults, Kind
+from tactiled.live.watch import STATE_EVENTS
 
 LOG = logging.getLogger(__name__)
 LOOK_S = 0.1  # between two looks at the states, where nothing but images comes

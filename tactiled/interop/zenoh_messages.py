@@ -17,8 +17,8 @@ from tactiled import __version__, units
 from tactiled.bounds import NAME, Bounds, Name, Pitch, Place, Syntax
 from tactiled.diagnostics.warning_codes import WarningCode
 from tactiled.frames import Direction, FrameWarning
-from tactiled.runtime.events import Kind as EventKind
-from tactiled.runtime.sensor import State as SensorState
+from tactiled.live.events import Kind as EventKind
+from tactiled.live.sensor import State as SensorState
 from tactiled.wire import Unpacked, unpack
 
 ROBOT_AND_SENSOR = re.compile(rf"{NAME[1:-1]}/{NAME[1:-1]}")

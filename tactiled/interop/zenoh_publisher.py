@@ -23,8 +23,8 @@ from tactiled.errors import TactileError
 from tactiled.frames import Image
 from tactiled.interop.signatures import SAFE_METHODS, Gate, Question
 from tactiled.interop.zenoh_session import HEARTBEAT_S, LEASE_S, Answer, Head, Request, open_session
-from tactiled.runtime.events import Event
-from tactiled.runtime.sensor import Sensor
+from tactiled.live.events import Event
+from tactiled.live.sensor import Sensor
 from tactiled.threads import join_started
 from tactiled.wire import KINDS, PRESSURES, Kind, pack
 
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     import zenoh
 
     from tactiled.interop.ros_live import Node
-    from tactiled.runtime.service import Service
+    from tactiled.live.service import Service
 
 LOG = logging.getLogger(__name__)
 LOOK_S = 0.1  # how often a sensor's state is looked at when no image comes

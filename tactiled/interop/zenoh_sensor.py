@@ -16,11 +16,11 @@ from tactiled.frames import Image, Loss
 from tactiled.geometry import Array, raster, spacing
 from tactiled.interop import zenoh_messages as messages
 from tactiled.interop.zenoh_session import HEARTBEAT_S, LOST_AFTER_S, Answer, Head, Request
-from tactiled.runtime.contact_tracking import ContactTracking
-from tactiled.runtime.history import History
-from tactiled.runtime.hub import Hub
-from tactiled.runtime.sensor import State, Status
-from tactiled.runtime.timings import Timings
+from tactiled.live.contact_tracking import ContactTracking
+from tactiled.live.history import History
+from tactiled.live.hub import Hub
+from tactiled.live.sensor import State, Status
+from tactiled.live.timings import Timings
 from tactiled.units import Unit
 from tactiled.wire import HEADER
 

@@ -10,7 +10,7 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 
 from tactiled.arrays import Flags, Floats, Mask
 from tactiled.frames import DEAD, MISSING, SATURATED
-from tactiled.runtime.noise import NOISE_FRAMES
+from tactiled.live.noise import NOISE_FRAMES
 from tactiled.simulate.array import FINER
 from tactiled.study.scenes import PEAK_KPA, smooth_step
 from tactiled.study.skin import Frames, Skin, doubled, draw, misconfigured, sense, touches, with_thickness

@@ -18,9 +18,9 @@ from tactiled.config import Config, Server, Zenoh, parse
 from tactiled.errors import ConfigError, TactileError
 from tactiled.frames import Message
 from tactiled.interop.zenoh_session import need
-from tactiled.runtime.bus_thread import BusThread
-from tactiled.runtime.sensor import Sensor
-from tactiled.runtime.service import Service
+from tactiled.live.bus_thread import BusThread
+from tactiled.live.sensor import Sensor
+from tactiled.live.service import Service
 from tactiled.simulate.playback import SCENE_S, TOUR, player
 from tactiled.study.load_ends import core_meter, receive_all, send
 from tactiled.web.server import running

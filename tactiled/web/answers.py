@@ -16,15 +16,15 @@ from tactiled.cover.summary import summarise
 from tactiled.frames import Image
 from tactiled.geometry import tiling
 from tactiled.interop.zenoh_sensor import RemoteSensor
+from tactiled.live.sensor import Sensor, Status
 from tactiled.restore.methods import METHODS, OLD_NAMES
-from tactiled.runtime.sensor import Sensor, Status
 from tactiled.units import FORCE_UNITS, Unit, if_calibrated
 from tactiled.web import calibration_schemas, schemas
 from tactiled.web.schemas import PressureKind
 
 if TYPE_CHECKING:
     from tactiled.interop.zenoh_fleet import Fleet
-    from tactiled.runtime.service import Service
+    from tactiled.live.service import Service
 
     ServiceView = Service | Fleet
 else:

@@ -13,9 +13,9 @@ from starlette.middleware.gzip import DEFAULT_EXCLUDED_CONTENT_TYPES, GZipMiddle
 
 from tactiled import __version__
 from tactiled.config import Server
+from tactiled.guided.calibrations import GuidedCalibrations
 from tactiled.interop.zenoh_fleet import Fleet
-from tactiled.runtime.guided_calibration import GuidedCalibrations
-from tactiled.runtime.side_process import SideProcess
+from tactiled.processes import SideProcess
 from tactiled.web import forward
 from tactiled.web.answers import ServiceView
 from tactiled.web.http.auth import AccessControl, Tokens
@@ -40,7 +40,7 @@ from tactiled.web.ws import asyncapi, push, stream, xela
 from tactiled.web.ws.feed import Feeds, ticking
 
 if TYPE_CHECKING:
-    from tactiled.runtime.service import Service
+    from tactiled.live.service import Service
 
 STATIC = Path(__file__).parent / "static"
 API_PAGE_FILES = ("fastapi_offline", "static")  # package and folder

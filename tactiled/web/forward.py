@@ -28,7 +28,7 @@ from tactiled.interop.zenoh_fleet import Fleet
 from tactiled.interop.zenoh_messages import MAX_JSON_BYTES, Settings, first_fault, read
 from tactiled.interop.zenoh_publisher import Publisher
 from tactiled.interop.zenoh_session import REQUEST_S, Answer
-from tactiled.runtime.sensor import Sensor
+from tactiled.live.sensor import Sensor
 from tactiled.web import answers, schemas
 from tactiled.web.http import problems
 from tactiled.web.rest import openapi

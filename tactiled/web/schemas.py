@@ -7,8 +7,8 @@ from pydantic import BaseModel, ConfigDict, Field, create_model
 from tactiled import units
 from tactiled.diagnostics.warning_codes import WarningCode
 from tactiled.frames import Direction, Loss
+from tactiled.live.sensor import State
 from tactiled.restore.methods import METHODS
-from tactiled.runtime.sensor import State
 
 PressureKind = Literal["raw", "restored", "deviation"]
 ImageCells = Literal["raster", "taxels"]

@@ -32,8 +32,8 @@ from tactiled.web.http.protocols import WebSocket
 from tactiled.web.ws import session, xela
 
 if TYPE_CHECKING:  # which import python-can: `tactiled serve` needs none
-    from tactiled.runtime.service import Service
-    from tactiled.runtime.watchdog import Watchdog
+    from tactiled.live.service import Service
+    from tactiled.live.watchdog import Watchdog
 
 SWITCH_INTERVAL_S = 5e-4  # between threads; with Python's 5 ms one thread delays images by as much
 LOG_LIMIT = logs.LogLimit()
@@ -168,7 +168,7 @@ def _watchdog(service: ServiceView, url: str) -> "Watchdog | None":
     """What keeps systemd's watchdog quiet, where that started this process."""
     if not systemd.supervises():
         return None
-    from tactiled.runtime.watchdog import Watchdog
+    from tactiled.live.watchdog import Watchdog
 
     return Watchdog(service, url)
 

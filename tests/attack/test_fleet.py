@@ -14,7 +14,7 @@ from tactiled.interop.zenoh_intake import MAX_ROBOTS, STRANGERS
 from tactiled.interop.zenoh_messages import MAX_CELLS
 from tactiled.interop.zenoh_robots import EVENTS, EVENTS_HZ, MAX_NAMES, MAX_SESSIONS, QUIET_S
 from tactiled.interop.zenoh_session import Head
-from tactiled.runtime.events import Event
+from tactiled.live.events import Event
 from tactiled.web.server import running
 from tactiled.wire import pack
 from tests.conftest import ask, until

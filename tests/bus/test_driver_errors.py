@@ -13,7 +13,7 @@ from tactiled.bus.driver_errors import MAX_LINE_BYTES, MAX_UNREADABLE_IN_A_ROW, 
 from tactiled.bus.reader import Reader, open_bus
 from tactiled.config import parse
 from tactiled.errors import BusError
-from tactiled.runtime.service import Service
+from tactiled.live.service import Service
 from tests.conftest import CONFIG, pressed, until
 
 GROUP = "239.74.163.91"

@@ -20,7 +20,7 @@ from tactiled.config import parse
 from tactiled.cover.kernel import solve
 from tactiled.errors import BusError
 from tactiled.frames import Message
-from tactiled.runtime.service import Service
+from tactiled.live.service import Service
 from tactiled.simulate import answer, player
 from tests.conftest import until
 
@@ -204,7 +204,7 @@ def test_skins_are_started_and_asked_again_when_the_bus_is_back_and_unsent_messa
     def payloads_on(id_):
         return [each.data.hex() for each in list(wire.messages) if each.id == id_]
 
-    monkeypatch.setattr("tactiled.runtime.bus_thread.open_bus", reopen)
+    monkeypatch.setattr("tactiled.live.bus_thread.open_bus", reopen)
     service = Service(parse(CONFIG))
     hand = service.sensor("hand")
     with service.running():

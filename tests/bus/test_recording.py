@@ -24,7 +24,7 @@ from tactiled.bus.textlog import CSV_HEAD
 from tactiled.config import parse
 from tactiled.config.example import GRASP
 from tactiled.errors import ConfigError, TactileError
-from tactiled.runtime.pipeline import Pipeline
+from tactiled.live.pipeline import Pipeline
 from tests.conftest import Clock
 
 # Slices of the data set, as its files have them: rows thumb, index, middle, ring, little.

@@ -12,7 +12,7 @@ from tactiled.calibrate.reference import Reference
 from tactiled.cover.stack import Layer, Stack
 from tactiled.errors import ConfigError
 from tactiled.geometry import grid, layout
-from tactiled.runtime.gain_procedure import _gain_line, _outcome
+from tactiled.guided.gain_procedure import _gain_line, _outcome
 from tactiled.study.presses import KPA_PER_COUNT, Disc, simulated_skin
 from tests.calibrate.skins import FULL_KPA, RATE_HZ, Skin, contact
 

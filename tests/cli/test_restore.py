@@ -9,8 +9,8 @@ import pytest
 
 from tactiled.build import sensor_plan
 from tactiled.config import load
+from tactiled.recorded.offline import PIECE_FRAMES, Offline, measured_noise
 from tactiled.restore.methods import METHODS
-from tactiled.runtime.offline import PIECE_FRAMES, Offline, measured_noise
 from tests.cli.commands import refusal, run, succeed
 
 SENSOR = """

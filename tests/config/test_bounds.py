@@ -12,9 +12,9 @@ from tactiled.build import sensor_plans
 from tactiled.config import parse
 from tactiled.errors import ConfigError, PhysicsError
 from tactiled.frames import Loss, RawFrame
+from tactiled.live.pipeline import Pipeline
+from tactiled.live.service import Service
 from tactiled.restore.methods import METHODS
-from tactiled.runtime.pipeline import Pipeline
-from tactiled.runtime.service import Service
 
 TEXT = """
 [bus.can0]
@@ -150,7 +150,7 @@ def test_too_much_of_anything_is_refused(old, new, message):
 
 
 def test_history_larger_than_memory_is_refused(monkeypatch):
-    monkeypatch.setattr("tactiled.runtime.sensor.History", Mock(side_effect=MemoryError))
+    monkeypatch.setattr("tactiled.live.sensor.History", Mock(side_effect=MemoryError))
     with pytest.raises(ConfigError, match=r"server\.history_mb = 64: this machine has less memory: give less"):
         Service(parse(text(USUAL)))
 

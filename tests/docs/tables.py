@@ -13,8 +13,8 @@ from tactiled.cli.app import app as cli
 from tactiled.cli.demo import demo_config
 from tactiled.config import Server
 from tactiled.config import schema as config
+from tactiled.live.service import Service
 from tactiled.restore.methods import METHODS
-from tactiled.runtime.service import Service
 from tactiled.web.app import create
 from tactiled.web.http.connection_limit import Places
 from tactiled.web.rest import metrics as prometheus

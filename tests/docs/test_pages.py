@@ -12,9 +12,9 @@ from tactiled.bus.error_frames import KINDS
 from tactiled.config import parse
 from tactiled.diagnostics.warning_codes import TEXTS, warning
 from tactiled.frames import Loss
+from tactiled.live.events import Kind
 from tactiled.restore import auto, points
 from tactiled.restore import methods as method_table
-from tactiled.runtime.events import Kind
 from tests.attack.attacks import ATTACKS
 from tests.docs.blocks import BLOCK, GUIDE, ROOT, pages, printed
 from tests.docs.markdown import BLOCKS, code

@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from tactiled.errors import TactileError
-from tactiled.runtime.sensor import Sensor
+from tactiled.live.sensor import Sensor
 from tests.conftest import BUSY_S, pressed, until
 from tests.lerobot.stand_ins import stand_ins
 

@@ -14,7 +14,7 @@ from tactiled.cli.demo import demo_config, running, simulation
 from tactiled.config import parse
 from tactiled.config.example import EXAMPLE, GRASP
 from tactiled.frames import Message
-from tactiled.runtime.service import Service
+from tactiled.live.service import Service
 from tests.cli.commands import refusal, succeed
 from tests.conftest import until
 

@@ -15,8 +15,8 @@ import numpy as np
 from rich.progress import track
 
 from tactiled.cli.bench import print_table
+from tactiled.live.pipeline import Deadline
 from tactiled.restore.methods import make
-from tactiled.runtime.pipeline import Deadline
 from tactiled.study.peers import skimage_wiener
 from tactiled.study.results import machine
 from tactiled.study.scenes import PEAK_KPA

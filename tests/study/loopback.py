@@ -7,7 +7,7 @@ import time
 from contextlib import contextmanager
 from pathlib import Path
 
-from tactiled.runtime import bus_thread
+from tactiled.live import bus_thread
 from tactiled.study.load import FrameSocket
 from tactiled.study.load_ends import CAN_FRAME
 from tactiled.study.results import machine

@@ -15,7 +15,7 @@ from tactiled.bus.router import Router
 from tactiled.cli.bench import print_table
 from tactiled.config import parse
 from tactiled.frames import Message
-from tactiled.runtime.service import Service
+from tactiled.live.service import Service
 from tactiled.simulate.playback import SCENE_S, TOUR, player
 from tactiled.study.results import machine
 from tests.study.checkout import figures
@@ -140,7 +140,7 @@ def live(sides, seconds):
     first = Feed.began + WARM_UP_S
     last = first + seconds
     with (
-        mock.patch("tactiled.runtime.bus_thread.open_bus", lambda channel, **_: feeds[channel]),
+        mock.patch("tactiled.live.bus_thread.open_bus", lambda channel, **_: feeds[channel]),
         service.running(),
     ):
         time.sleep(max(0.0, first - time.time()))
@@ -194,7 +194,7 @@ try:
     from tactiled.service import Service  # 0.4.2
 except ModuleNotFoundError:
     from tactiled.bus.batch import Batch
-    from tactiled.runtime.service import Service
+    from tactiled.live.service import Service
     sensors = Service(config).sensors
     router = Router({name: each.codec for name, each in sensors.items()})
     def feed(messages, due):

@@ -1,4 +1,4 @@
-from tactiled.runtime.sensor import Sensor
+from tactiled.live.sensor import Sensor
 from tests.study import sensors
 
 

@@ -13,8 +13,8 @@ from tactiled.frames import Loss, RawFrame
 from tactiled.interop.zenoh_fleet import Fleet
 from tactiled.interop.zenoh_publisher import Publisher
 from tactiled.interop.zenoh_session import Answer
-from tactiled.runtime.sensor import Sensor
-from tactiled.runtime.service import Service
+from tactiled.live.sensor import Sensor
+from tactiled.live.service import Service
 from tactiled.web import answers
 from tests.conftest import CONFIG
 from tests.process import free_port

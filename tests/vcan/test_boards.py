@@ -6,7 +6,7 @@ from contextlib import contextmanager
 import numpy as np
 
 from tactiled.config import parse
-from tactiled.runtime.service import Service
+from tactiled.live.service import Service
 from tests.bus.boards import LinkerHand, LinkerL30Hand, LinkerO20, Mtb, OmniHand2025, TactilePuck, XelaOlder
 
 CODECS = {

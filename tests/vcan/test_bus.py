@@ -12,7 +12,7 @@ from tactiled.bus.router import Router
 from tactiled.config import load
 from tactiled.errors import BusError
 from tactiled.frames import Message
-from tactiled.runtime.service import Service
+from tactiled.live.service import Service
 from tests.skin import PALM
 
 CODEC = Packed(10, 12)  # three messages a frame

@@ -8,7 +8,7 @@ import pytest
 
 from tactiled.bus.codecs.packed import Packed
 from tactiled.config import parse
-from tactiled.runtime.service import Service
+from tactiled.live.service import Service
 from tests.vcan.conftest import OWN_KERNEL
 from tests.vcan.test_interfaces import BUS, SENSOR
 

@@ -12,7 +12,7 @@ import pytest
 from tactiled.bus.reader import BUS_OFF_HINT, open_bus
 from tactiled.config import parse
 from tactiled.errors import BusError
-from tactiled.runtime.service import Service
+from tactiled.live.service import Service
 from tests.vcan.conftest import ip
 
 ADAPTER = "vcan8"  # a link of these tests' own

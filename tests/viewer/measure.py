@@ -15,7 +15,7 @@ from playwright.sync_api import Browser, CDPSession, Page, sync_playwright
 
 from tactiled.bus.reader import open_bus
 from tactiled.config import parse
-from tactiled.runtime.service import Service
+from tactiled.live.service import Service
 from tactiled.simulate import play, player
 from tactiled.web.server import running
 from tests.viewer.conftest import CHROMIUM

@@ -13,7 +13,7 @@ import httpx
 import numpy as np
 
 from tactiled.config import Server, parse
-from tactiled.runtime.service import Service
+from tactiled.live.service import Service
 from tactiled.simulate import player
 from tactiled.web.server import running
 from tests.conftest import HTTP

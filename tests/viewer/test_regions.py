@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from tactiled.runtime.region_monitor import MIN_GAP_S
+from tactiled.live.region_monitor import MIN_GAP_S
 from tests.conftest import ask, pressed, until
 from tests.viewer.conftest import PHONE, TOUCH
 

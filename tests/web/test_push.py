@@ -11,7 +11,7 @@ from tactiled.bus.assembler import assemble
 from tactiled.bus.reader import open_bus
 from tactiled.config import Server, parse
 from tactiled.frames import Loss
-from tactiled.runtime.service import Service
+from tactiled.live.service import Service
 from tactiled.web.server import running
 from tactiled.web.ws.push import HEADER
 from tests.conftest import CONTROL, READ, TOKENS, ask, problem, until

@@ -7,11 +7,11 @@ from pydantic import Discriminator, Field, Tag
 
 from tactiled.calibrate.cover_fit import MAX_EDGE_MM, MAX_TIP_MM, MIN_SIZE_MM
 from tactiled.errors import CalibrationStateError
-from tactiled.runtime import calibration_session
-from tactiled.runtime.calibration_session import Way
-from tactiled.runtime.cover_procedure import CoverOutcome
-from tactiled.runtime.gain_procedure import GainOutcome
-from tactiled.runtime.guided_calibration import GuidedCalibrations, Session
+from tactiled.guided import session as calibration_session
+from tactiled.guided.calibrations import GuidedCalibrations, Session
+from tactiled.guided.cover_procedure import CoverOutcome
+from tactiled.guided.gain_procedure import GainOutcome
+from tactiled.guided.session import Way
 from tactiled.web import schemas
 from tactiled.web.rest.dependencies import CurrentService, NamedSensor, applying
 from tactiled.web.rest.openapi import CONTROL, JSON_BODY, problems

@@ -9,14 +9,14 @@ from starlette.concurrency import run_in_threadpool
 from tactiled.calibrate.calibration_file import FILES_KEPT, CalibrationFile, max_bytes, read
 from tactiled.errors import ConfigError
 from tactiled.frames import CONFIGURED
-from tactiled.runtime.sensor import Sensor
+from tactiled.live.sensor import Sensor
 from tactiled.web import answers, calibration_schemas, schemas
 from tactiled.web.http.problems import Problem
 from tactiled.web.rest.dependencies import CurrentService, NamedSensor, applying
 from tactiled.web.rest.openapi import CONTROL, MEDIA, Responses, problems
 
 if TYPE_CHECKING:
-    from tactiled.runtime.service import Service
+    from tactiled.live.service import Service
 
 router = APIRouter(prefix="/api/v1/sensors/{name}/calibration", tags=["sensors"])
 CONTENT = {MEDIA["calibration"]: {"schema": {"type": "object"}}}

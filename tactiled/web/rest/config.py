@@ -8,14 +8,14 @@ from pydantic import Field
 
 from tactiled.config import Server, schema
 from tactiled.errors import BusError, ConfigError, PhysicsError
-from tactiled.runtime.reload import Reload
+from tactiled.live.reload import Reload
 from tactiled.web import schemas
 from tactiled.web.http.problems import Problem
 from tactiled.web.rest.dependencies import CurrentService
 from tactiled.web.rest.openapi import CONTROL, problems
 
 if TYPE_CHECKING:
-    from tactiled.runtime.service import Service
+    from tactiled.live.service import Service
 
 router = APIRouter(prefix="/api/v1", tags=["service"])
 

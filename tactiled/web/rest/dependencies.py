@@ -14,7 +14,7 @@ from starlette.requests import HTTPConnection
 from tactiled.build import SensorPlan
 from tactiled.errors import PhysicsError, StateError
 from tactiled.interop.zenoh_sensor import RemotePlan
-from tactiled.runtime.sensor import Sensor
+from tactiled.live.sensor import Sensor
 from tactiled.units import PRESSURE
 from tactiled.web.answers import SensorView
 from tactiled.web.http.limits import Turns
@@ -23,7 +23,7 @@ from tactiled.web.rest.openapi import MEDIA
 from tactiled.web.ws.query import no_such, once
 
 if TYPE_CHECKING:
-    from tactiled.runtime.service import Service
+    from tactiled.live.service import Service
 else:
     Service = Any  # a server of readers elsewhere has none, and imports no python-can
 

@@ -7,8 +7,8 @@ from typing import Annotated
 from fastapi import APIRouter, Query, Request
 from pydantic import BaseModel, Field
 
-from tactiled.runtime.events import Events as EventLog
-from tactiled.runtime.events import Kind
+from tactiled.live.events import Events as EventLog
+from tactiled.live.events import Kind
 from tactiled.web import schemas
 from tactiled.web.http.limits import ConcurrencyLimit
 from tactiled.web.rest.dependencies import CurrentService

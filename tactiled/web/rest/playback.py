@@ -12,11 +12,11 @@ from fastapi import Path as PathParameter
 from pydantic import Field
 
 from tactiled.frames import Loss
-from tactiled.runtime.playback import Playback, noise_frames
-from tactiled.runtime.recorded_frames import RecordedFrames
-from tactiled.runtime.recorded_series import SeriesRuns
-from tactiled.runtime.sensor import Sensor
-from tactiled.runtime.service import Service
+from tactiled.live.sensor import Sensor
+from tactiled.live.service import Service
+from tactiled.recorded.frames import RecordedFrames
+from tactiled.recorded.playback import Playback, noise_frames
+from tactiled.recorded.series import SeriesRuns
 from tactiled.units import FORCE_UNITS, ForceUnit, if_calibrated
 from tactiled.web import answers, schemas
 from tactiled.web.http.problems import SOON, Problem

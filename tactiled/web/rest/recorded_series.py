@@ -9,10 +9,10 @@ from starlette.responses import Response, StreamingResponse
 
 from tactiled.archive import csv_table
 from tactiled.contacts.regions import TOTAL, Measures, Region
-from tactiled.restore.methods import named
-from tactiled.runtime.playback import Playback
-from tactiled.runtime.recorded_frames import RecordedFrames
-from tactiled.runtime.recorded_series import (
+from tactiled.live.sensor import Sensor
+from tactiled.recorded.frames import RecordedFrames
+from tactiled.recorded.playback import Playback
+from tactiled.recorded.series import (
     ROWS_AT_ONCE,
     RecordedSeries,
     SeriesJob,
@@ -20,7 +20,7 @@ from tactiled.runtime.recorded_series import (
     SeriesRuns,
     Summary,
 )
-from tactiled.runtime.sensor import Sensor
+from tactiled.restore.methods import named
 from tactiled.units import FORCE_UNITS, ForceUnit
 from tactiled.web import schemas
 from tactiled.web.http.problems import SOON, Problem

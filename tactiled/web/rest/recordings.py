@@ -25,7 +25,7 @@ from tactiled.bus.recorder import Recorder, record
 from tactiled.bus.recording import Recording as Recorded
 from tactiled.errors import ConfigError, TactileError
 from tactiled.files import atomic_write, clear_scratch
-from tactiled.runtime.events import Events
+from tactiled.live.events import Events
 from tactiled.web import schemas
 from tactiled.web.http.body import MAX_RECORDING_BYTES
 from tactiled.web.http.limits import ConcurrencyLimit

@@ -13,9 +13,9 @@ from tactiled import units
 from tactiled.archive import csv_table
 from tactiled.bounds import Syntax
 from tactiled.contacts.regions import Measures, Region
-from tactiled.runtime import region_monitor
-from tactiled.runtime.region_monitor import SERIES_S, RegionSeries
-from tactiled.runtime.sensor import Sensor
+from tactiled.live import region_monitor
+from tactiled.live.region_monitor import SERIES_S, RegionSeries
+from tactiled.live.sensor import Sensor
 from tactiled.web import schemas
 from tactiled.web.http.problems import Problem
 from tactiled.web.rest.dependencies import CurrentService, NamedSensor, keeping

@@ -19,8 +19,8 @@ from starlette.types import Message, Receive, Scope, Send
 from tactiled.build import SensorPlan
 from tactiled.errors import ConfigError
 from tactiled.files import clear_scratch, scratch_folder
-from tactiled.runtime.fit_process import Cancelled
-from tactiled.runtime.offline import Offline, open_frames
+from tactiled.processes import Cancelled
+from tactiled.recorded.offline import Offline, open_frames
 from tactiled.web.http.limits import busy, client_of
 from tactiled.web.http.problems import Problem
 from tactiled.web.rest.dependencies import CurrentService, in_unit, without_path

@@ -19,7 +19,7 @@ from tactiled.web.schemas import MAX_TIME_S, PushedFrame
 from tactiled.web.ws.session import FAILED, FORBIDDEN, refuse
 
 if TYPE_CHECKING:
-    from tactiled.runtime.service import Service
+    from tactiled.live.service import Service
 
 HEADER = Struct("<dII")
 LAYOUT = (

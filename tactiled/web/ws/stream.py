@@ -11,7 +11,7 @@ from uvicorn.protocols.utils import ClientDisconnected
 
 from tactiled.errors import NoShearError, UnknownSensorError
 from tactiled.frames import Image
-from tactiled.runtime.events import Faults
+from tactiled.live.events import Faults
 from tactiled.web.http.problems import close_reason
 from tactiled.web.http.protocols import protocol
 from tactiled.web.ws.feed import TICK_S, ContactsFrame, Feed, Feeds, Format

@@ -18,7 +18,7 @@ from fastapi import APIRouter, FastAPI, WebSocket
 from tactiled.bus.codecs.xela import REST, Xela
 from tactiled.config import Server
 from tactiled.frames import MISSING, RawFrame
-from tactiled.runtime.sensor import Sensor
+from tactiled.live.sensor import Sensor
 from tactiled.web.answers import ServiceView
 from tactiled.web.http import problems
 from tactiled.web.http.auth import AccessControl

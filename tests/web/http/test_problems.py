@@ -10,8 +10,8 @@ from websockets.sync.client import connect
 
 from tactiled.bus import reader
 from tactiled.config import Server, parse
-from tactiled.runtime.sensor import Sensor
-from tactiled.runtime.service import Service
+from tactiled.live.sensor import Sensor
+from tactiled.live.service import Service
 from tactiled.web.http import auth, problems
 from tactiled.web.server import running
 from tests.conftest import CONFIG, ask, pressed, problem, until

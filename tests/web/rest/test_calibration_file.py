@@ -8,7 +8,7 @@ import pytest
 from tactiled.calibrate.calibration_file import load
 from tactiled.config import Server, parse
 from tactiled.errors import ConfigError
-from tactiled.runtime.service import Service
+from tactiled.live.service import Service
 from tactiled.web.rest import calibration_file as calibration_file_over_rest
 from tactiled.web.server import running
 from tests.calibrate.files import CREATED, calibration_file

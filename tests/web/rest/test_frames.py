@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tactiled.config import Server
-from tactiled.runtime.side_process import SideProcess
+from tactiled.processes import SideProcess
 from tactiled.web.http import limits
 from tactiled.web.rest import frames
 from tactiled.web.server import running

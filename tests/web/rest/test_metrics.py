@@ -5,7 +5,7 @@ import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
 from tactiled.bus.error_frames import KINDS
-from tactiled.runtime.timings import Histogram
+from tactiled.live.timings import Histogram
 from tactiled.web.http.connection_limit import Places
 from tactiled.web.http.limits import ConcurrencyLimit
 from tactiled.web.rest import metrics as prometheus

@@ -14,8 +14,8 @@ import pytest
 from tactiled.cli.replay import replaying
 from tactiled.config import Server, parse
 from tactiled.frames import BAD
-from tactiled.runtime.recorded_frames import RecordedFrames
-from tactiled.runtime.service import Service
+from tactiled.live.service import Service
+from tactiled.recorded.frames import RecordedFrames
 from tactiled.web.rest import playback
 from tactiled.web.server import running
 from tests.cli.recordings import CONFIG, FRAMES, traffic, write

@@ -9,8 +9,8 @@ import pytest
 from tactiled.archive.export import ExportJob
 from tactiled.config import Server, parse
 from tactiled.contacts.regions import Region
-from tactiled.runtime import recorded_series
-from tactiled.runtime.service import Service
+from tactiled.live.service import Service
+from tactiled.recorded import series as recorded_series
 from tactiled.web.server import running
 from tests.cli.recordings import CONFIG, FRAMES, traffic, write
 from tests.conftest import HTTP, problem, until

@@ -13,8 +13,8 @@ import pytest
 from tactiled.bus import recorder, recording
 from tactiled.bus.reader import open_bus
 from tactiled.config import Server, parse
-from tactiled.runtime.events import Events
-from tactiled.runtime.service import Service
+from tactiled.live.events import Events
+from tactiled.live.service import Service
 from tactiled.web.http import body
 from tactiled.web.http.timeouts import BOUNDS, State
 from tactiled.web.rest import recordings, uploads

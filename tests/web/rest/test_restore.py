@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from tactiled.build import sensor_plan
-from tactiled.runtime import offline
-from tactiled.runtime.offline import Offline
+from tactiled.recorded import offline
+from tactiled.recorded.offline import Offline
 from tactiled.web.http import body, timeouts
 from tactiled.web.rest import restore
 from tactiled.web.server import running

@@ -6,8 +6,8 @@ import pytest
 
 from tactiled.calibrate.health import RULES, Fault
 from tactiled.config import parse
-from tactiled.runtime.service import Service
-from tactiled.runtime.state import StateFile
+from tactiled.live.service import Service
+from tactiled.live.state import StateFile
 from tactiled.web.server import running
 from tests.conftest import BUSY_S, CONFIG, GAIN, NO_LOAD, SIDE, ask, pressed, problem, until
 

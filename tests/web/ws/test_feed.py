@@ -1,7 +1,7 @@
 import asyncio
 from types import SimpleNamespace
 
-from tactiled.runtime.hub import Hub
+from tactiled.live.hub import Hub
 from tactiled.web.ws.feed import Feeds
 from tests.conftest import run_apart
 

@@ -1,0 +1,224 @@
+"""One sensor's way from counts to the restored image: calibrate, restore, check."""
+
+from dataclasses import replace
+from functools import cached_property
+from math import inf
+from operator import call
+from time import monotonic, thread_time
+
+import numpy as np
+
+from tactiled.arrays import Flags, Floats, Floats32
+from tactiled.build import SensorPlan
+from tactiled.calibrate.monitor import SkinMonitor
+from tactiled.calibrate.tare import Zero, blocks, load_description, own_noise, robust_mean
+from tactiled.chain import Chain, flag_warnings
+from tactiled.core import readings
+from tactiled.diagnostics.warning_codes import warning
+from tactiled.frames import FrameWarning, Image, RawFrame, StageTimes
+from tactiled.geometry import tiling
+from tactiled.live.cover_monitor import CoverMonitor
+from tactiled.live.noise import Noise
+from tactiled.live.tare_frames import TARE_FRAMES, TareFrames
+from tactiled.live.thickness_search import Start, ThicknessSearch
+from tactiled.restore.methods import named
+from tactiled.restore.noise import estimate
+from tactiled.restore.scene import Restored, never
+from tactiled.units import N_PER_KPA_MM2
+
+
+class Pipeline:
+    """Turns the raw frames of one array into images, one after the other, on one thread.
+
+    `set_method`, `tare` and `lapse_tare` may be called from any thread and take effect with the next frame;
+    `load_description`, `deviation` and `forces` may be called from any thread, too; the rest between two frames.
+    """
+
+    def __init__(self, plan: SensorPlan, before: "Pipeline | None" = None, start: Start = call) -> None:
+        """`before` is the present pipeline of the same array: its method and noise are kept at first.
+
+        `start` runs what takes longer than a frame: on a thread, or at once, for the same warnings in every run.
+        """
+        self._plan = plan
+        self.noise: Noise = Noise(plan.calibration, plan.unit, before.noise if before else None)
+        self._chain = Chain(plan, self.noise.kpa)
+        self.calibrator, self.deviation = self._chain.calibrator, self._chain.deviation
+        codec = plan.codec
+        self.monitor = SkinMonitor(plan.array, plan.kernel, plan.calibration, codec.ends, codec.full_scale, start)
+        self._tare_frames = TareFrames()
+        self.zero = Zero(self.calibrator.no_load, self._chain.shear_zero)  # of the unloaded array
+        self._zero_before: Zero | None = None  # the last tare
+        self._highest = 0.0  # reading since this zero
+        self._recent: tuple[Floats32, ...] = ()  # raw images since the last tare, or break
+        self.tared = self.lapsed = self.refused = 0  # times that a tare was done, given up, or met a load
+        self.load_in_tare = ""  # in words: what the last refused tare met
+        self._thickness = ThicknessSearch(plan, start)
+        self.cover = CoverMonitor(plan)
+        self.method: str = before.method if before else plan.method
+        self._chain.prepare(self.method)
+
+    def set_method(self, name: str) -> None:
+        """Restore the next frames by `name`; ConfigError if there is no such method."""
+        self.method = named(name)
+
+    def tare(self, time: float, force: bool = False) -> None:
+        """Take the mean of the next frames as the unloaded array, at `time` (s, Unix).
+
+        A load that comes meanwhile, or readings that move, end it, unless it is by `force`.
+        """
+        self._tare_frames.start(time, force)
+
+    def load_description(self) -> str:
+        """Description of the load in the newest frames; "" for none."""
+        return load_description(self._recent, self.noise.kpa, self._plan.unit)
+
+    def lapse_tare(self) -> None:
+        """Give up a tare that does not have all of its frames yet; `lapsed` counts it."""
+        self._recent = ()
+        if self._tare_frames.stop():
+            self.lapsed += 1
+
+    @property
+    def can_undo(self) -> bool:
+        """Whether a tare is under way, or there is a zero from before the last one."""
+        return self._tare_frames.under_way or self._zero_before is not None
+
+    def set_zero(self, zero: Zero) -> None:
+        """Take another zero; `undo_tare` takes the present one again."""
+        self._zero_before, self.zero = self.zero, zero
+        self._use_zero()
+
+    def undo_tare(self) -> None:
+        """Give up a tare under way, else take the zero from before the last one again, if there is one."""
+        if not self._tare_frames.stop() and self._zero_before is not None:
+            self.zero, self._zero_before = self._zero_before, None
+            self._use_zero()
+
+    def _use_zero(self) -> None:
+        self._chain.tare(self.zero, self.zero.time is not None or self._plan.calibration.no_loads is not None)
+        self._recent, self._highest = (), 0.0
+        self.cover.reset()
+
+    def take_over(self, other: "Pipeline") -> None:
+        """Go on from where `other`, of the same array and another calibration, is: method, zero, tare under way.
+
+        Its tare is kept unless the calibration's no load is newer, and with it the zero from before.
+        """
+        self.method, self._tare_frames = other.method, other._tare_frames
+        self.tared, self.lapsed, self.refused = other.tared, other.lapsed, other.refused
+        self.load_in_tare, zero, before = other.load_in_tare, self._unless_older(other.zero), other._zero_before
+        if zero is other.zero and before is not None:
+            self._zero_before = self._unless_older(before)
+        self.zero = zero
+        self._use_zero()
+        self.calibrator.take_over(other.calibrator)
+        self.monitor.take_over(other.monitor, self.calibrator)
+        self._chain.weigh(self.monitor.noise_counts)
+
+    def _unless_older(self, zero: Zero) -> Zero:
+        """A zero of another calibration; with the counts of this one where it was not tared since that."""
+        tared = zero.time is not None and zero.time >= self._plan.no_load_time
+        return zero if tared else replace(self.zero, shear=zero.shear)
+
+    def forces(self, frame: RawFrame) -> Floats | None:
+        """Force (N, 3) in N on each taxel, along x and y and into the skin, as sensed; None unless all are known.
+
+        They are unknown where shear has no scale or has not been tared, or where a taxel does not work; of a
+        saturated one it is the least that it can be.
+        """
+        scale = self._plan.calibration.shear_n_per_count
+        if scale is None or frame.shear is None or not self._plan.calibrated:
+            return None
+        pressure, _ = self.calibrator(frame.counts, frame.flags)
+        tangential = (frame.shear - self.zero.shear) * scale
+        forces = np.column_stack([*tangential, pressure * self._areas * N_PER_KPA_MM2])
+        return forces if np.isfinite(forces).all() else None
+
+    @cached_property
+    def _areas(self) -> Floats:
+        """(N,) mm^2 of the surface that each taxel stands for."""
+        return tiling(self._plan.array).areas
+
+    def process(self, frame: RawFrame, budget_s: float = inf, came: tuple[float, float] | None = None) -> Image:
+        """Image of one frame; every doubt about it is NaN, a flag or a warning.
+
+        Restoring it ends after `budget_s` of processor time with the best image until then, where its method can.
+        `came` is when it arrived and was assembled (s, monotonic); None: now.
+        """
+        began = monotonic()
+        last_message, assembled = came or (began, began)
+        self._apply_tare(frame)
+        chain = self._chain
+        chain.follow(frame.counts, frame.flags)
+        if self.monitor.push(frame, self.calibrator):
+            chain.weigh(self.monitor.noise_counts)
+        raw, flags = chain.pressure(frame)
+        self.noise.add(raw)
+        chain.noise = self.noise.kpa
+        if self.noise.settled:
+            self._highest = max(self._highest, readings.look(raw.reshape(-1))[1])
+            flags = chain.with_below_zero(raw, flags, self._highest)
+        self._recent = (*self._recent, raw)[-TARE_FRAMES:]
+        chain.prepare(self.method)
+        calibrated = monotonic()
+        done = chain.restore(raw, flags, self.method, Deadline(budget_s) if budget_s < inf else never)
+        restored = monotonic()
+        warnings = self._check(raw, flags, done, budget_s)
+        checked = monotonic()
+        times = StageTimes(
+            last_message - frame.skew, last_message, assembled, began, calibrated, restored, checked
+        )
+        microseconds = (checked - began) * 1e6
+        return chain.image(frame, raw, flags, done, microseconds=microseconds, warnings=warnings, times=times)
+
+    def _check(self, raw: Floats32, flags: Flags, done: Restored, budget_s: float) -> tuple[FrameWarning, ...]:
+        """Warnings of an image."""
+        doubtful = self._chain.doubtful(flags)
+        checked = self._chain.warnings(raw, doubtful, done)
+        if done.cut_short:
+            checked = (*checked, warning("cut_short", budget_ms=1e3 * budget_s))
+        checked = self._thickness(checked, raw, doubtful, self.noise.kpa)
+        self.cover.push(raw, doubtful, self.noise.kpa if self.noise.settled else np.inf)
+        wrong = self.monitor.map.wrong
+        of_map = (warning("wrong_map", wrong=", ".join(wrong)),) if wrong else ()
+        of_skin = self._plan.warnings + self.noise.warning + flag_warnings(flags)
+        return of_skin + of_map + checked + self.cover.warning
+
+    def _apply_tare(self, frame: RawFrame) -> None:
+        """Add a frame to a tare under way; apply its zero once it is complete, unless there was a load."""
+        frames = self._tare_frames.add(frame)
+        if frames is None:
+            return
+        if load := "" if self._tare_frames.force else self._load_during(frames[:, 0]):
+            self.refused, self.load_in_tare = self.refused + 1, load
+            return
+        mean, zero = robust_mean(frames).astype(np.float32), self.zero
+        counts = np.where(np.isfinite(mean[0]), mean[0], zero.counts)
+        shear = np.where(np.isfinite(mean[1:]), mean[1:], zero.shear) if len(mean) > 1 else zero.shear
+        self.set_zero(Zero(counts, shear, self._tare_frames.time))
+        self.tared += 1
+
+    def _load_during(self, counts: Floats32) -> str:
+        """A load in frames (T, N) of a tare, in words, or readings that move; "" for neither."""
+        pressure, noise = self.calibrator.pressure(counts), self.noise.kpa
+        if not self.noise.settled:
+            noise = max(noise, estimate(pressure))
+        means = [self.calibrator.pressure(each) for each in blocks(counts)]
+        return load_description(means, noise, self._plan.unit, own_noise(pressure, noise))
+
+
+class Deadline:
+    """Whether a thread's processor time for an image is over.
+
+    It is so before a step that would end too late if it took as long as the one before.
+    """
+
+    def __init__(self, budget_s: float) -> None:
+        self._last = thread_time()
+        self._end = self._last + budget_s
+
+    def __call__(self) -> bool:
+        """Whether to stop now; asked before every step."""
+        now = thread_time()
+        step, self._last = now - self._last, now
+        return now + step > self._end

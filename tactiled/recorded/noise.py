@@ -1,0 +1,74 @@
+"""The noise of a sensor's taxels in a recording, measured before its first image."""
+
+from collections.abc import Iterable, Mapping
+from contextlib import suppress
+from itertools import islice
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from tactiled.arrays import Floats32
+from tactiled.build import SensorPlan
+from tactiled.bus.codec import Codec
+from tactiled.bus.router import Router
+from tactiled.calibrate.calibration import Calibrator
+from tactiled.frames import UNKNOWN, RawFrame
+from tactiled.live.noise import NOISE_FRAMES
+from tactiled.restore.noise import estimate
+
+if TYPE_CHECKING:
+    from tactiled.bus.recording import Recording
+
+MAX_NOISE_SEARCH = 1000  # frames of a recording from which those with data are taken
+MAX_SEARCHED_MESSAGES = 1_000_000  # of a recording, which may have no frame
+
+
+def numbers_with_data(recorded: Iterable[RawFrame]) -> tuple[int, ...]:
+    """Numbers of the frames from which a recording's noise is measured: its first ones with data."""
+    searched = enumerate(islice(recorded, MAX_NOISE_SEARCH))
+    return tuple(islice((n for n, each in searched if _has_data(each)), NOISE_FRAMES))
+
+
+def _has_data(frame: RawFrame) -> bool:
+    return bool((frame.flags & UNKNOWN == 0).any())
+
+
+def recorded_noise(plan: SensorPlan, with_data: Iterable[RawFrame], zero: Floats32 | None = None) -> float:
+    """Standard deviation of a taxel, in the unit of `plan`: as configured, else of a recording's first frames.
+
+    These are those with data; `zero` is a tare's counts.
+    """
+    if plan.calibration.noise_kpa:
+        return plan.calibration.noise_kpa
+    if not (first := list(with_data)):
+        return plan.calibration.floor_kpa
+    calibrator = Calibrator(plan.calibration, plan.array.size)
+    if zero is not None:
+        calibrator.tare(zero.astype(float))
+    raw, _ = calibrator.series(np.stack([each.counts for each in first]), np.stack([each.flags for each in first]))
+    return max(plan.calibration.floor_kpa, estimate(raw.reshape(-1, *plan.array.frame_shape)))
+
+
+def measure_noise(
+    recording: "Recording", codecs: Mapping[str, Codec], plans: Iterable[SensorPlan]
+) -> dict[str, float]:
+    """Noise of the sensors that have frames in a recording, before it is restored, by their names.
+
+    What is wrong with the recording, or in a codec, whoever restores it meets, too.
+    """
+    from tactiled.bus.replay import frames  # and python-can, which a service without a bus does not need
+
+    sought = {plan.name: plan for plan in plans if not plan.calibration.noise_kpa}
+    firsts: dict[str, list[RawFrame]] = {name: [] for name in sought}
+    open_ = dict.fromkeys(sought, MAX_NOISE_SEARCH)  # frames to be searched yet
+    with suppress(Exception):
+        messages = islice(recording, MAX_SEARCHED_MESSAGES) if sought else ()
+        for name, frame in frames(messages, Router(codecs)):
+            if name in open_:
+                firsts[name] += [frame] if _has_data(frame) else []
+                open_[name] -= 1
+                if len(firsts[name]) == NOISE_FRAMES or not open_[name]:
+                    del open_[name]
+                if not open_:
+                    break
+    return {name: recorded_noise(sought[name], each) for name, each in firsts.items() if each}
