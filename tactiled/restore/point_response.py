@@ -1,15 +1,12 @@
 """What the taxels of a grid sense of one small load anywhere between them, and how that changes with its place."""
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
-from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
+from tactiled.core import points
 from tactiled.restore.modes import Floats, Image
 
 PHASES = 64  # places a pitch that are tabulated: half of a step is left to a fit's last, linear step
-ORDERS = (0, 0), (1, 0), (0, 1)  # of derivatives down and across, of the first three kinds
-HALF = np.float32(0.5)
 RANK_TOLERANCE = 1e-4  # of the largest separable part: smaller ones are dropped
 
 
@@ -25,7 +22,7 @@ class PointResponse:
         U, s, Vt = np.linalg.svd(stencil * refine**2, full_matrices=False)
         parts = max(1, int(np.count_nonzero(s > RANK_TOLERANCE * s[0])))
         along = U[:, :parts] * s[:parts], Vt[:parts].T
-        self._down, self._across = (_windows(part, n, refine) for part, n in zip(along, shape, strict=True))
+        self._down, self._across = (_table(part, n, refine) for part, n in zip(along, shape, strict=True))
 
     def tabulated(self, places: Floats) -> Floats:
         """Give the nearest places (n, 2) that are in the tables."""
@@ -37,16 +34,7 @@ class PointResponse:
         The kinds are the frames themselves, their slopes down and across, and what they gain for each square pitch
         of the load's variance along any axis: half the sum of the second derivatives. `first` is the first filled.
         """
-        rows, columns = (places * PHASES).round().astype(np.intp).T
-        down, across = _at(self._down, rows), _at(self._across, columns)
-        frames = out.reshape(-1, len(places), *self.shape)
-        for (row, column), each in zip(ORDERS[first:], frames, strict=False):
-            np.matmul(down[:, row].swapaxes(1, 2), across[:, column], out=each)
-        if first + len(out) > len(ORDERS):
-            wider = frames[-1]
-            np.matmul(down[:, 2].swapaxes(1, 2), across[:, 0], out=wider)
-            np.add(wider, down[:, 0].swapaxes(1, 2) @ across[:, 2], out=wider)
-            np.multiply(wider, HALF, out=wider)
+        points.responses(self._down, self._across, (places * PHASES).round().astype(np.int64), first, out)
 
     def sensitivity(self) -> float:
         """Share of a load's frame that another of any force does not give, a quarter of a pitch across a taxel."""
@@ -59,23 +47,7 @@ class PointResponse:
         return float(np.linalg.norm(across) / np.linalg.norm(second))
 
 
-def _at(windows: Image, phases: NDArray[np.intp]) -> Image:
-    """Give (n, 3, parts, taxels) for loads at `phases` (n,), counted from the first taxel."""
-    # Taxel i sees the load place - i away; the tables run backwards, so that i runs forwards.
-    pitches, phase = np.divmod(windows.shape[-1] * PHASES - phases, PHASES)
-    return windows[phase, pitches]
-
-
-def _windows(parts: Floats, n: int, refine: int) -> Image:
-    """Give (PHASES, n + 2, 3, parts, n): values, slopes and curvatures of an axis' factors at n taxels.
-
-    By the load's distance from the far end: parts of a pitch, whole pitches.
-    """
-    table = np.asarray(_table(parts, n, refine), np.float32)
-    return sliding_window_view(table, n, axis=-1).transpose(0, 3, 1, 2, 4)
-
-
-def _table(parts: Floats, n: int, refine: int) -> Floats:
+def _table(parts: Floats, n: int, refine: int) -> Image:
     """Give values, slopes and curvatures (PHASES, 3, parts, 2n+1) of an axis' factors, offsets n to -n-1."""
     offsets = (np.arange(refine * (2 * n - 1)) - refine * (n - 1) - (refine - 1) / 2) / refine
     degree = min(3, len(offsets) - 1)
@@ -87,4 +59,4 @@ def _table(parts: Floats, n: int, refine: int) -> Floats:
         values = spline(inside, order) if order <= degree else np.zeros((len(inside), parts.shape[1]))
         return np.asarray(values.reshape(2 * n + 1, PHASES, -1).transpose(1, 2, 0))
 
-    return np.ascontiguousarray(np.stack([phases(0), phases(1), phases(2)], axis=1))
+    return np.ascontiguousarray(np.stack([phases(0), phases(1), phases(2)], axis=1), np.float32)

@@ -4,11 +4,12 @@ Their places are read off a non-negative image and refined, with the forces. The
 nothing but noise behind, and all of it is certain.
 """
 
-from math import inf, prod, sqrt
+from math import sqrt
 from typing import NamedTuple
 
 import numpy as np
 
+from tactiled.core import points
 from tactiled.restore.modes import Floats, Image
 from tactiled.restore.point_fit import MAX_POINTS, Fit, Fitter
 from tactiled.restore.point_image import MIN_PLACE_ERROR, MODEL_ERROR, PointImage, PointLoads
@@ -21,7 +22,6 @@ MAX_SPREAD_CELLS = 5.7  # that a point's pressure is spread over in an image of 
 LEARNED_SPREAD_CELLS = 3.5  # the same in the network's: of 35 fits to more spread none stood, of 197 to less 107
 MAX_REMAINDER = 0.05  # of the image's pressure: no more peaks are looked for once less remains
 MAX_OUTSIDE = 0.15  # of the image's pressure that may lie outside the neighbourhoods of its peaks
-MAX_MOVE = 1.0  # pitches from a place of a fit that was cut short to a peak: one further away is another load's
 TOUCHING = 3.5  # pitches between two peaks whose neighbourhoods touch
 REACH = 4.0  # standard deviations of two loads together: nearer ones are neighbours
 MAX_NEIGHBOURS = 1.2  # that touch, in the mean; a pair has one, a chain of three 4/3: that is one contact
@@ -36,8 +36,6 @@ MAX_LAST_SHIFT = 0.25  # pitches that the last step may move a point: it is line
 MAX_LAST_STRETCH = 0.5  # of a force that it may change
 MAX_FORCE_ERROR = 0.2  # of a force
 MAX_PLACE_ERROR = 0.5  # pitches
-MAX_CUTS = 4  # fits cut short one after the other: the time that there is does not do for one
-PAUSE_FRAMES = 64  # that follow without a fit
 NO_GRID = "points need a grid of three taxels a side at least: restored by nnls"
 TOO_THIN = "the cover is too thin to locate loads within a taxel: restored by nnls"
 
@@ -70,23 +68,14 @@ class Points:
         if response is not None and response.sensitivity() < MIN_SENSITIVITY:
             self.unavailable = TOO_THIN
         elif response is not None:
-            self._fitter = Fitter(response, scene.noise, scene.cut)
+            self._fitter = Fitter(response, scene.noise)
         self._unexplained = np.empty(scene.size, np.float32)
         surface = blur.surface_shape if self._fitter else (1, 1)  # where nothing is fitted nothing is drawn
         self._refine = k = blur.refine
         self._widest = spread_cells * k**2  # cells
-        margin = 2 * k  # both sides, a pitch each, for peaks on the border
-        self._peeled = np.zeros([n + margin for n in surface], np.float32)
-        self._ones = np.ones(prod(surface), np.float32)
-        offset = np.arange(-k, k + 1, dtype=np.float32)
-        about = np.meshgrid(offset, offset, indexing="ij")
-        ones = np.ones_like(about[0])
-        self._moments = np.stack([each.ravel() for each in (ones, *about)])  # weights of 1, down and across
         self.drawing = PointImage(surface, self._refine, scene.noise)
         self._model = 0.0  # kPa^2, summed over taxels: what the model may miss this frame by
         self.loads: PointLoads | None = None
-        self._cuts = self._pause = 0  # frames in a row whose fit was cut short; frames to come without a fit
-        self._before: Floats | None = None  # places of a fit that was cut short in the frame before
 
     def __call__(self, y: Image, image: Image) -> int:
         """Fit points to a frame, starting from an image without negative values; gives the steps made, or 0.
@@ -98,57 +87,25 @@ class Points:
             return 0
         y = y.reshape(-1)
         self._model = MODEL_ERROR**2 * float(y.dot(y))
-        if self._pause:
-            self._pause -= 1
+        places = self._peaks(image)
+        if not len(places) or self._scene.cut():
             return 0
-        before, self._before = self._before, None
-        done = 0
-        spread = self._spread(image)
-        if spread <= MAX_POINTS and not self._scene.cut() and (peaks := self._peaks(image, spread)):
-            places = np.array(peaks)
-            start = before if before is not None and _are_near(before, places) else places
-            done, fit = self._fitter(y, start)
-            if fit is not None and not self._scene.cut():
-                self.loads = self._accepted(self._fitter, fit, y)
-            if self._scene.cut_short:
-                self._before = self._fitter.places
-        self._cuts = self._cuts + 1 if self._scene.cut_short and not self.loads else 0
-        if self._cuts == MAX_CUTS:
-            self._cuts, self._pause = 0, PAUSE_FRAMES
+        done, fit = self._fitter(y, places)
+        self.loads = self._accepted(self._fitter, fit, y) if fit else None
         return done if self.loads else 0
 
-    def _spread(self, image: Image) -> float:
-        """Over how many points, as wide as they may be, an image's pressure is spread."""
-        flat = image.reshape(-1)
-        squares = float(flat.dot(flat))
-        return float(flat.dot(self._ones)) ** 2 / (self._widest * squares) if squares else inf
-
-    def _peaks(self, image: Image, spread: float) -> list[tuple[float, float]]:
-        """Places (row, column, in pitches) of an image's peaks; empty if they are too many or too wide."""
-        k, peeled, columns = self._refine, self._peeled, image.shape[1]
-        peeled[k:-k, k:-k] = image
-        places: list[tuple[float, float]] = []
-        remainder = total = float(image.reshape(-1).dot(self._ones))
-        touching = 0  # neighbourhoods, each counted for both peaks
-        while remainder > MAX_REMAINDER * total and len(places) < MAX_POINTS:
-            i, j = divmod(int(peeled.argmax()), columns + 2 * k)
-            around = peeled[i - k : i + k + 1, j - k : j + k + 1]
-            weight, down, across = (self._moments @ around.reshape(-1)).tolist()
-            around[...] = 0
-            remainder -= weight
-            row, column = (i - k + down / weight + 0.5) / k - 0.5, (j - k + across / weight + 0.5) / k - 0.5
-            touching += 2 * sum(abs(a - row) < TOUCHING and abs(b - column) < TOUCHING for a, b in places)
-            if touching > MAX_NEIGHBOURS * MAX_POINTS:
-                return []  # whatever else there is
-            places.append((row, column))
-        too_wide = remainder > MAX_OUTSIDE * total or spread > len(places)
-        return [] if too_wide or touching > MAX_NEIGHBOURS * len(places) else places
+    def _peaks(self, image: Image) -> Floats:
+        """Places (n, 2) of an image's peaks, in pitches; none if they are too many or too wide."""
+        k, places = self._refine, np.empty((MAX_POINTS, 2))
+        n, pairs, total, squares, rest = points.peaks(image, k, MAX_REMAINDER, TOUCHING * k, places)
+        too_wide = rest > MAX_OUTSIDE * total or total**2 > n * self._widest * squares
+        return places[: 0 if too_wide or 2 * pairs > MAX_NEIGHBOURS * n else n] / k + (0.5 / k - 0.5)
 
     def _accepted(self, fitter: Fitter, fit: Fit, y: Image) -> PointLoads | None:
         """Draw and give what stands of a fit; None where anything is uncertain."""
         noise, last = self._scene.noise**2, _estimate(fit, self._scene.noise**2)
         free = max(fitter.residual.size - 4 * len(fit.force), 1)
-        if self._scene.cut() or last.residual > noise * (free + RESIDUAL_SIGMAS * sqrt(2 * free)) + self._model:
+        if last.residual > noise * (free + RESIDUAL_SIGMAS * sqrt(2 * free)) + self._model:
             return None
         if np.abs(last.shift).max() > MAX_LAST_SHIFT or (np.abs(last.force) > MAX_LAST_STRETCH * fit.force).any():
             return None
@@ -168,7 +125,7 @@ class Points:
             noise=noise / variance,
         )
         crowded = _neighbours(loads.places, REACH**2 * (loads.spread**2).mean(axis=1)) > MAX_NEIGHBOURS
-        if crowded or self._leaves_signal(fitter, fit, last.step) or self._scene.cut():
+        if crowded or self._leaves_signal(fitter, fit, last.step):
             return None
         self.drawing(loads)
         widest = float((last.own + np.sqrt(last.own_variance * variance)).max())
@@ -228,13 +185,6 @@ def _neighbours(places: Floats, reach: Floats) -> float:
     """How many others a load has that are nearer than the root of both squared reaches (n,), in the mean."""
     apart = ((places[:, None] - places) ** 2).sum(axis=-1)
     return float((apart <= reach[:, None] + reach).sum() / len(places) - 1)
-
-
-def _are_near(before: Floats, places: Floats) -> bool:
-    """Whether places of the frame before are as many as an image's peaks, each of them within MAX_MOVE of one."""
-    if len(before) != len(places):
-        return False
-    return bool((((before[:, None] - places) ** 2).sum(axis=-1).min(axis=1) < MAX_MOVE**2).all())
 
 
 def _around(image: Image, middle: Floats) -> Image:
