@@ -35,6 +35,7 @@ class Contact:
     minor_mm: float
     angle_rad: float  # of the longer axis from x towards y, -pi/2 to pi/2
     cut_off: bool = False  # it reaches the border of the array: what presses beyond is not in its force
+    force_deviation: float | None = None  # standard deviation of `force`; None where it is unknown
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,8 @@ TRIGGER_RESPONSE = "std_srvs/msg/TriggerResponse"  # of std_srvs/srv/Trigger; ro
 DEFINITIONS = {  # fields, parted by commas
     TRIGGER_RESPONSE: "bool success, string message",
     "tactiled_msgs/msg/TactileContact": """uint32 id, float32 x_mm, float32 y_mm, float32 force, float32 peak,
-        float32 area_mm2, float32 major_mm, float32 minor_mm, float32 angle_rad, bool cut_off""",
+        float32 area_mm2, float32 major_mm, float32 minor_mm, float32 angle_rad, bool cut_off,
+        float32 force_deviation""",
     "tactiled_msgs/msg/TactileArray": ",".join(f"uint8 {name}={bit}" for name, bit in FLAG_BITS.items())
     + """, std_msgs/Header header, uint64 sequence, string pressure_unit, string force_unit, uint32 rows,
         uint32 columns, float32[] raw, uint8[] flags, float32 noise, float32 force, float32 peak, string method,

@@ -2,38 +2,50 @@
 
 import threading
 import time
+from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 
+from tactiled.arrays import Floats32
 from tactiled.contacts.detection import BEGIN_SIGMAS, Contact, Finder, Tracker
 from tactiled.frames import Image
 from tactiled.geometry import Array, Raster
 from tactiled.live.hub import Hub
 from tactiled.threads import join_started
 
+Deviation = Callable[[Image], Floats32]
+
 LOOK_S = 0.05  # from one look to the next
 ASKED_S = 5.0  # looks go on for so long after a request
 
 
 class ImageContacts:
-    """Finds the contacts in the images of one array, one after the other, and tracks them."""
+    """Finds the contacts in the images of one array, one after the other, and tracks them.
 
-    def __init__(self, array: Array, cells: Raster) -> None:
+    `deviation` gives that of an image's cells, in its unit; without it the forces' deviations are unknown.
+    """
+
+    def __init__(self, array: Array, cells: Raster, deviation: Deviation | None = None) -> None:
         self._finder, self._tracker = Finder(array, cells), Tracker(array.pitch)
+        self._deviation = deviation
 
     def __call__(self, image: Image, time_s: float) -> tuple[Contact, ...]:
         """Contacts of one image; `time_s` on a clock that is the same for all of them."""
         noise = image.cell_noise
         find, holds = self._finder, self._tracker.holds
-        contacts = find(image.restored, noise, image.unit, holds, image.shares, find.parts)
+        spread = partial(self._deviation, image) if self._deviation else None
+        contacts = find(image.restored, noise, image.unit, holds, image.shares, find.parts, spread)
         return tuple(self._tracker(contacts, time_s, BEGIN_SIGMAS * noise))
 
 
 class ContactTracking:
     """Looks for contacts on request, and in between on its own thread, so that none is lost between requests."""
 
-    def __init__(self, name: str, hub: Hub, array: Array, cells: Raster) -> None:
+    def __init__(
+        self, name: str, hub: Hub, array: Array, cells: Raster, deviation: Deviation | None = None
+    ) -> None:
         self._hub = hub
-        self._find = ImageContacts(array, cells)
+        self._find = ImageContacts(array, cells, deviation)
         self._looking = threading.Lock()
         self._image: Image | None = None  # the one last looked at
         self._contacts: tuple[Contact, ...] = ()

@@ -95,7 +95,7 @@ class Sensor:
         self.newest: RawFrame | None = None  # in counts; its image may not be made yet
         self.former: tuple[CalibrationFile, ...] = ()  # the newest first; those that were not written
         self._clock = clock
-        self._tracking = ContactTracking(plan.name, self.hub, plan.array, plan.cells)
+        self._tracking = ContactTracking(plan.name, self.hub, plan.array, plan.cells, self.deviation)
         self._between_frames = threading.Lock()  # is held while a frame is processed
         self._wake = threading.Condition()
         self._waiting: tuple[RawFrame, float] | None = None  # and when it was assembled (s)

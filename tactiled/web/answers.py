@@ -3,6 +3,7 @@
 from collections.abc import Iterable
 from dataclasses import asdict
 from io import BytesIO
+from math import isnan
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -145,7 +146,9 @@ def contacts(sensor: SensorView) -> schemas.Contacts | None:
 def listed(contacts: Iterable[Contact], unit: Unit) -> list[dict[str, Any]]:
     """The fields of contacts in an image whose pressure has this unit."""
     return [
-        asdict(each) | {"force_n": if_calibrated(each.force, unit), "peak_kpa": if_calibrated(each.peak, unit)}
+        asdict(each)
+        | {"force_n": if_calibrated(each.force, unit), "peak_kpa": if_calibrated(each.peak, unit)}
+        | {"force_deviation": None if isnan(each.force_deviation) else each.force_deviation}
         for each in contacts
     ]
 

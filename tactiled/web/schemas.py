@@ -209,6 +209,9 @@ class Contact(Schema):
     minor_mm: float
     angle_rad: float = Field(description="of the longer axis from x towards y, -pi/2 to pi/2")
     cut_off: bool = Field(description="it reaches the border: what presses beyond is not in its force")
+    force_deviation: float | None = Field(
+        description="standard deviation of `force`; null where it is unknown", examples=[0.02]
+    )
 
 
 class Contacts(FrameId, Message):

@@ -120,6 +120,21 @@ def test_what_rings_below_zero_around_a_contact_does_not_shrink_it(find):
     assert contact.force == pytest.approx(1e-3 * (4 * 20 - 8 * 6))
 
 
+def test_a_force_is_known_as_its_independent_cells_are_and_an_empty_image_asks_for_none(find):
+    image, asked = np.zeros((SIDE, SIDE), np.float32), []
+
+    def deviation():
+        asked.append(1)
+        return np.full((SIDE, SIDE), 3.0, np.float32)
+
+    assert (find(image, 0.1, deviation=deviation), asked) == ([], [])
+    image[10:12, 10:12] = 20
+    (contact,) = find(image, 0.1, deviation=deviation)
+    assert contact.force_deviation == pytest.approx(3e-3 * 12**0.5)  # with the skirt, 12 squares of 1 mm
+    (contact,) = find(image, 0.1)
+    assert np.isnan(contact.force_deviation)
+
+
 @pytest.mark.parametrize(("rows", "columns"), [(1, 1), (1, 3), (4, 2)])
 @pytest.mark.parametrize("refine", [1, 2])
 def test_axes_of_an_even_block_are_its_sides(rows, columns, refine):

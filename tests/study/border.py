@@ -8,15 +8,18 @@ from typing import Annotated, Literal, NamedTuple
 import numpy as np
 import typer
 from numpy.typing import NDArray
+from skimage.segmentation import expand_labels
 
 from tactiled import surface
 from tactiled.cli.bench import print_table
+from tactiled.contacts.detection import Finder
 from tactiled.cover.kernel import cached, solve
 from tactiled.cover.stack import Layer, Stack
 from tactiled.geometry import Array, grid, layout, raster
 from tactiled.restore.methods import make
 from tactiled.simulate.array import Surface
 from tactiled.study.skin import nrmse
+from tactiled.units import FORCE_SCALES, PRESSURE
 from tests.study.held_out_scenes import FINER
 from tests.study.judge import WORSE
 
@@ -30,7 +33,7 @@ WHERE = ("anywhere", "border", "cut off")
 MATERIALS = ((0.6, 0.48), (98.0, 0.3))  # rubber, and the film of the paper
 HEADINGS = (
     "array", "presses", "raw", "restored", "> 2 % over raw", f"t/pitch {' / '.join(map(str, THICKNESSES))}",
-    "within 2 deviations", "methods",
+    "within 2 deviations", "forces", "methods",
 )  # fmt: skip
 
 
@@ -144,7 +147,8 @@ def border(
     """Measure what is restored of presses that go on beyond the array."""
     rows = []
     for place, name in product([where] if where else WHERE, [*GRIDS, *LAYOUTS]):
-        random, errors, within, methods = np.random.default_rng([seed, WHERE.index(place)]), [], [], Counter()
+        random, errors, within = np.random.default_rng([seed, WHERE.index(place)]), [], []
+        methods, forces = Counter(), []
         for n in range(presses):
             thickness, material = THICKNESSES[n % 4], n // 4 % 2
             surface, _ = skin(name, thickness, material)
@@ -162,14 +166,29 @@ def border(
             pressed = truth > PRESSED * truth.max()
             within.append(np.mean((np.abs(image - truth) <= 2 * spread)[pressed]))
             methods[done.method] += 1
+            forces += _force_known(taxels(name), refine, done.noise_gain, each[:3], press.sigma)
         table = np.array(errors)
         by_thickness = (f"{table[table[:, 2] == each, 1].mean():.3f}" for each in THICKNESSES)
         rows.append((
             name, place, *(f"{each:.3f}" for each in table[:, :2].mean(axis=0)),
             f"{np.count_nonzero(table[:, 1] > WORSE * table[:, 0])} of {presses}", " / ".join(by_thickness),
-            f"{np.mean(within):.0%}", ", ".join(f"{name} {count}" for name, count in methods.most_common()),
+            f"{np.mean(within):.0%}", f"{sum(forces)} of {len(forces)}",
+            ", ".join(f"{name} {count}" for name, count in methods.most_common()),
         ))  # fmt: skip
     print_table("Presses that go on beyond the array: mean NRMSE within it", HEADINGS, rows)
+
+
+def _force_known(array, refine, noise_gain, images, sigma):
+    """Whether the force of a press, where it is one contact, is within two deviations of its cells' true force."""
+    image, spread, truth = images
+    cells = raster(array, refine)
+    find = Finder(array, cells)
+    found = find(image.astype(np.float32), sigma * max(noise_gain, 1.0), deviation=lambda: spread)
+    if len(found) != 1:
+        return []
+    skirt = np.where(cells.felt, expand_labels(find.parts, 1), 0) > 0
+    force = truth[skirt].sum() * cells.side**2 * FORCE_SCALES[PRESSURE]
+    return [abs(found[0].force - force) <= 2 * found[0].force_deviation]
 
 
 @cache

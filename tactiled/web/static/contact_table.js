@@ -2,12 +2,13 @@
 
 import { element, setText } from "./dom.js";
 import { fixed, number } from "./format.js";
-import { forceNumber } from "./units.js";
+import { forceNumber, forceSpread } from "./units.js";
 
 /** @import { Contact } from "./sensor_stream.js" */
 
 export const MAX_ROWS = 6; // contacts, the strongest: the maps mark no more
 const COLUMNS = 6;
+const DEVIATIONS = 2; // that are shown of a force
 
 export class ContactTable {
   /** @param {HTMLElement} root that holds the table and the line for where there is nothing to list */
@@ -64,7 +65,8 @@ function fillRow(cells, contact, unit, charted) {
   setText(button, String(contact.id));
   button.disabled = !charted;
   button.setAttribute("aria-pressed", String(charted?.has(`contact ${contact.id}`) ?? false));
-  setText(cells[1], forceNumber(contact.force, unit));
+  const spread = contact.force_deviation == null ? "" : ` ± ${forceSpread(DEVIATIONS * contact.force_deviation, unit)}`;
+  setText(cells[1], forceNumber(contact.force, unit) + spread);
   setText(cells[2], number(contact.peak));
   setText(cells[3], number(contact.area_mm2));
   setText(cells[4], fixed(contact.x_mm, 1));

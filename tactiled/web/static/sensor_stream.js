@@ -20,7 +20,7 @@ import { kindOf, packet, parse } from "./wire.js";
  * One contact: its axes are standard deviations of the pressure, its angle goes from x towards y.
  * @typedef {{
  *   id: number, x_mm: number, y_mm: number, force: number, area_mm2: number, peak: number, major_mm: number,
- *   minor_mm: number, angle_rad: number, cut_off?: boolean
+ *   minor_mm: number, angle_rad: number, cut_off?: boolean, force_deviation?: number|null
  * }} Contact
  */
 
