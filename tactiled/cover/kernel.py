@@ -58,7 +58,7 @@ def solve(
     if model == "layered":
         if profile is not None:
             raise PhysicsError("model 'layered' knows flat layers only: use 'fem' for a cover with a profile")
-        q = _frequencies(stack)
+        q = frequencies(stack)
         gain = layered.gain(stack, q)
         return Kernel(stack, model, q, gain, *radial(q, gain), error_estimate=layered.MAX_ROUNDING)
     if model != "fem":
@@ -117,7 +117,7 @@ def _continued(solved: "fem.Solution") -> tuple[Floats, Floats]:
     return np.concatenate([[0.0], q]), np.concatenate([[1.0], gain])
 
 
-def _frequencies(stack: Stack) -> Floats:
+def frequencies(stack: Stack) -> Floats:
     """Give q (cycles/mm) over all that a stack's gain does, 0 first, 64 a decade."""
     wide = np.logspace(-7, 3, 321) / stack.faces[-1]
     gain = layered.gain(stack, wide)

@@ -1,4 +1,4 @@
-"""The exact gain of flat layers: plane strain, wavenumber by wavenumber.
+"""The exact gains of flat layers: plane strain, wavenumber by wavenumber, under pressure and tangential load.
 
 In a layer the Airy stress is f(kz) cos(kx), k = 2 pi q, with f'''' - 2 f'' + f = 0. A layer's state
 (sigma_zz, tau_xz, 2 k u_x, 2 k u_z) is linear in (f, f', f'', f'''), and four continuities an interface
@@ -18,27 +18,64 @@ MAX_ROUNDING = 1e-6  # error of a gain that passes for exact
 
 def gain(stack: Stack, q: Floats | float) -> Floats:
     """Give G(q), the normal stress at the sensing plane for unit surface pressure; q in cycles/mm, any shape."""
+    return _gain(stack, q, NORMAL, NORMAL)
+
+
+def tangential(stack: Stack, q: Floats | float) -> Floats:
+    """Give (4, ...): what a tangential load and pressure do to each other's stress; q in cycles/mm, any shape.
+
+    Per unit of load: tangential stress along the wave vector under a load along it; the same across it, of which
+    pressure knows nothing; tangential stress sin(kx) under pressure cos(kx), which drives rubber apart; pressure
+    cos(kx) under a tangential load sin(kx). PhysicsError where a layer slides: nothing holds the load.
+    """
+    if not all(stack.bonds):
+        raise PhysicsError("a layer slides on the next without friction: no tangential load passes through it")
+    along, apart, tilt = (_gain(stack, q, *ways) for ways in ((SHEAR, SHEAR), (NORMAL, SHEAR), (SHEAR, NORMAL)))
+    return np.stack([along, _across(stack, np.asarray(q, float)), apart, tilt])
+
+
+def _across(stack: Stack, q: Floats) -> Floats:
+    """Give the gain of tangential load across the wave vector, u'' = k^2 u, from the base up, layer by layer.
+
+    Where a is a layer's mu k times the compliance under it, 1 / (cosh kh + a sinh kh) of the stress passes.
+    """
+    k = 2 * np.pi * q
+    compliance, passed = np.zeros_like(k), np.ones_like(k)
+    for number in range(len(stack.layers), 0, -1):
+        layer = stack.layers[number - 1]
+        stiffness, height = layer.shear * np.maximum(k, 1e-12), np.minimum(k * layer.thickness, MAX_HEIGHT)
+        a = compliance * stiffness
+        if number <= stack.sensing:
+            decayed = np.exp(-height)
+            passed = passed * 2 * decayed / (1 + decayed**2 + a * (1 - decayed**2))
+        slope = np.tanh(height)
+        compliance = (a + slope) / (a * slope + 1) / stiffness
+    return passed
+
+
+def _gain(stack: Stack, q: Floats | float, load: int, sensed: int) -> Floats:
+    """Give the stress `sensed` at the sensing plane under a unit `load`, each NORMAL or SHEAR, at q."""
     q = np.asarray(q, dtype=np.float64)
     if not np.isfinite(q).all() or (q < 0).any():
         raise PhysicsError("spatial frequency q must be finite and not negative (cycles/mm)")
-    result = np.ones(q.size)
+    result = np.full(q.size, float(load == sensed))
     with np.errstate(over="ignore", invalid="ignore"):  # what overflows inside is refused by its rounding error
         k = 2 * np.pi * q.ravel()
         waves = k * stack.faces[-1] > 1e-9
         if waves.any():
-            result[waves] = _solve(stack, k[waves])
+            result[waves] = _solve(stack, k[waves], load, sensed)
     return result.reshape(q.shape)
 
 
-def _solve(stack: Stack, k: Floats) -> Floats:
+def _solve(stack: Stack, k: Floats, loaded: int, felt: int) -> Floats:
     """Give the gain at wavenumbers k (n,) in 1/mm, none of them zero."""
     faces = [_faces(layer, k) for layer in stack.layers]
     system = _system(stack, faces)
     load = np.zeros((len(k), system.shape[-1], 1))
-    load[:, 0] = 1
+    load[:, loaded] = 1
     sensed = np.zeros_like(load)
     first = 4 * (stack.sensing - 1)
-    sensed[:, first : first + 4, 0] = faces[stack.sensing - 1][1][:, NORMAL]
+    sensed[:, first : first + 4, 0] = faces[stack.sensing - 1][1][:, felt]
     try:
         state = np.linalg.solve(system, load)
         dual = np.linalg.solve(np.swapaxes(system, 1, 2), sensed)

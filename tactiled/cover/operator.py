@@ -20,6 +20,7 @@ from tactiled.geometry import Array, Cells
 
 BAND_RATIO = 4.0  # of neighbouring bands' cut-offs
 GAUSSIAN_END = 4.6  # where exp(-x^2) is as good as 0 (1e-9)
+Way = tuple[int, ...]  # odd in u, odd in v, and which of these
 REACH = 6.0  # over q, in space, of a band from q on: four times its Gaussian's own GAUSSIAN_END / pi
 CODE = (  # a cached table of other code is not ours
     np.__version__,
@@ -86,24 +87,43 @@ def cached(
 
 def _response(kernel: Kernel, array: Array, side: float, x: Floats, y: Floats) -> Floats:
     """Give (len(y), len(x)): the mean pressure on a taxel for a unit cell at every |offset| x, y (mm)."""
-    result = np.zeros((len(y), len(x)))
+    return fourier_sums(kernel.q, array, side, (x, y), lambda u, v: {(0, 0): kernel.gain_at(np.hypot(u, v))})[0, 0]
+
+
+def fourier_sums(
+    ends: Floats,
+    array: Array,
+    side: float,
+    offsets: tuple[Floats, Floats],
+    gains: Callable[..., dict[Way, Floats]],
+) -> dict[Way, Floats]:
+    """Sum gains times the footprints of unit cell and aperture over all waves, at offsets x, y (mm) from 0 on.
+
+    `gains` gives those of waves u, v (cycles/mm) by their way: whether they are odd in u and in v, and so sines
+    along x and along y. `ends` begin with 0 and the lowest frequency, and end with the highest.
+    """
+    x, y = offsets
+    results: dict[Way, Floats] = {}
     cuts = [np.inf]
-    while cuts[-1] > kernel.q[1]:
-        cuts.append(min(cuts[-1], kernel.q[-1]) / BAND_RATIO)
+    while cuts[-1] > ends[1]:
+        cuts.append(min(cuts[-1], ends[-1]) / BAND_RATIO)
     for high, low in zip(cuts, [*cuts[1:], 0.0], strict=True):
-        cutoff = min(GAUSSIAN_END * high, kernel.q[-1], MAX_CYCLES / np.sqrt(side * max(side, array.width)))
+        cutoff = min(GAUSSIAN_END * high, ends[-1], MAX_CYCLES / np.sqrt(side * max(side, array.width)))
         reach = REACH / (low or high) + (side + array.width) / 2
         frequency = np.arange(int(cutoff * 2 * reach) + 2) / (2 * reach)
         u, v = np.meshgrid(frequency, frequency, sparse=True)
         q = np.hypot(u, v)
         window = np.exp(-((q / high) ** 2)) - (np.exp(-((q / low) ** 2)) if low else 0.0)
-        spectrum = window * kernel.gain_at(q) * _footprints(array, side, u, v)
+        footprints = _footprints(array, side, u, v)
         weight = np.where(frequency > 0, 2.0, 1.0) / (2 * reach)
         columns, rows = x <= reach, y <= reach
-        along = np.cos(2 * np.pi * np.outer(frequency, x[columns])) * weight[:, None]
-        down = np.cos(2 * np.pi * np.outer(y[rows], frequency)) * weight
-        result[np.ix_(rows, columns)] += down @ spectrum @ along
-    return result
+        along = [each(2 * np.pi * np.outer(frequency, x[columns])) * weight[:, None] for each in (np.cos, np.sin)]
+        down = [each(2 * np.pi * np.outer(y[rows], frequency)) * weight for each in (np.cos, np.sin)]
+        for way, gain in gains(u, v).items():
+            spectrum = window * gain * footprints
+            result = results.setdefault(way, np.zeros((len(y), len(x))))
+            result[np.ix_(rows, columns)] += down[way[1]] @ spectrum @ along[way[0]]
+    return results
 
 
 def _footprints(array: Array, side: float, u: Floats, v: Floats) -> Floats:

@@ -3,7 +3,7 @@ import pytest
 from scipy.interpolate import CubicSpline
 from scipy.special import j0, j1
 
-from tactiled.cover import fem, layered
+from tactiled.cover import elements, fem, layered, line
 from tactiled.cover.stack import Layer, Profile, Stack
 
 RUBBER = Layer(2.0, 0.5, 0.4999)
@@ -94,3 +94,36 @@ def test_a_boss_takes_stress_from_the_middle_of_a_footprint(paper):
         for profile in (None, Profile((0.0, 0.3, 0.4), (0.1, 0.1, 0.0)))
     )
     assert boss < flat - 0.02
+
+
+@pytest.mark.parametrize(
+    "stack", [Stack((RUBBER, BOARD)), Stack((Layer(2.0, 0.5, 0.3), FOAM), sensing=2)], ids=str
+)
+def test_tangential_loads_away_from_the_axis_agree_with_the_exact_solution(stack):
+    """Such loads are sums of waves J1(kr) along their wave vector, as pressure is of J0(kr)."""
+    reach, radius = 40.0, 1.0
+    mesh = fem._mesh(stack, None, reach, 1.5, 0.15, 0.2)
+    system = elements.assemble(stack, mesh)
+    i, j = np.moveaxis(system.lattice, -1, 0)
+    nodes = np.interp(np.arange(line.DEGREE * mesh.shape[0] + 1) / line.DEGREE, np.arange(len(mesh.r)), mesh.r)
+    k = line.standing(np.arange(1, 25)) / reach
+    bessel = j1(np.outer(k, nodes)), j0(np.outer(k, nodes))  # of what points outwards, and of what points down
+    halves = system.dofs[:, : elements.SIZE], system.dofs[:, elements.SIZE :]
+    above = system.row == mesh.starts[stack.sensing] - 1
+    plane = j[above] == line.DEGREE * mesh.starts[stack.sensing]
+
+    def gains(loaded):
+        place = line.points(mesh.r)[0]
+        force = line.forces(mesh.r, (place if loaded == 0 else 1) * np.exp(-((place / radius) ** 2)))
+        load, dofs = np.zeros(system.size + 1), halves[loaded]
+        load[dofs[j == 0]] = force[i[j == 0]]
+        load[-1] = 0  # of what is fixed
+        moved = np.append(elements.solve(system, load[:-1]), 0.0)
+        stress = -(system.stiffness[above] @ moved[system.dofs[above]][:, :, None])[..., 0]
+        felt = (np.bincount(i[above][plane], part[plane]) for part in np.split(stress, 2, axis=1))
+        return [waves @ each / (bessel[loaded] @ force) for waves, each in zip(bessel, felt, strict=True)]
+
+    (along, tilt), (apart, normal) = gains(0), gains(1)
+    exact = layered.tangential(stack, k / (2 * np.pi))
+    np.testing.assert_allclose(normal, layered.gain(stack, k / (2 * np.pi)), atol=2e-3)
+    np.testing.assert_allclose([along, apart, tilt], exact[[0, 2, 3]], atol=2e-3)
