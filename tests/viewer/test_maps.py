@@ -169,7 +169,7 @@ def test_contacts_are_outlined_and_listed_follow_what_moves_and_can_be_switched_
     assert forces == [
         [float(f"{each['force_n']:.3g}"), float(f"{2 * each['force_deviation']:.2g}")] for each in contacts
     ]
-    assert float(listed[0][1]) > float(listed[1][1])
+    assert forces[0][0] > forces[1][0]
     for contact in contacts:
         for marks in ("raw-marks", "restored-marks"):
             assert (marks_at(page, marks, contact) > 240).all()  # white, but for the smoothing of its edge
