@@ -16,6 +16,7 @@ from tactiled.build import SensorPlan
 from tactiled.calibrate.tare import Zero, below_zero
 from tactiled.chain import Chain, flag_warnings
 from tactiled.contacts.detection import Contact, Finder
+from tactiled.contacts.felt import MIN_SUM_SHARE
 from tactiled.diagnostics.checks import CHECK_EVERY_FRAMES, CHECKS_IN_A_ROW
 from tactiled.diagnostics.warning_codes import WarningCode, warning
 from tactiled.frames import FrameWarning, Image, RawFrame
@@ -36,7 +37,7 @@ class Overview(NamedTuple):
     """Force on the raw images over a recording: of each piece of it the frames with the lowest and highest sum."""
 
     position_s: Floats  # (P,), ascending
-    force: Floats  # (P,) N, or counts mm^2
+    force: Floats  # (P,) N, or counts mm^2; NaN where too few taxels are known
 
 
 def noise_frames(plan: SensorPlan, recorded: FrameFiles, count: int) -> tuple[int, ...]:
@@ -147,9 +148,10 @@ class Playback:
         return first + int(totals.argmin()), first + int(totals.argmax())
 
     def _readings(self, number: int) -> tuple[float, float]:
-        """Force on the raw image of a frame, and its highest pressure."""
+        """Force on the raw image of a frame, NaN where too few taxels are known, and its highest pressure."""
         raw, _ = self._pressure(number, self._recorded.frame(self.plan.name, number))
-        force = float(np.nansum(raw.ravel() * self._areas)) * FORCE_SCALES[self.plan.unit]
+        known = 1 - np.isnan(raw).mean() >= MIN_SUM_SHARE
+        force = float(np.nansum(raw.ravel() * self._areas)) * FORCE_SCALES[self.plan.unit] if known else np.nan
         return force, float(np.fmax.reduce(raw, axis=None))
 
     def _highest(self, number: int) -> float:

@@ -65,7 +65,10 @@ class Played(schemas.Schema):
     calibration: str = Field(description="id of the calibration file, or configured", examples=["configured"])
     force_unit: ForceUnit = Field(examples=["N"])
     positions_s: list[float] = Field([], description="of `force`")
-    force: list[float] = Field([], description="total of the raw image: lowest and highest of each piece in turn")
+    force: list[float | None] = Field(
+        [],
+        description="total of the raw image, null where too few taxels are known: lowest and highest of each piece",
+    )
 
 
 class PlayedRegion(RegionMeasures):

@@ -393,7 +393,8 @@ export class Viewer {
   _take(frame) {
     const { session } = this;
     if (session) this.held.push(frame, session.plane);
-    if (!session?.paused) this.range.follow(peakOf(this.frame ?? frame), noiseOf(frame), frame.timestamp);
+    if (session?.paused) this._fit(); // a recording's frame comes some time after it was sought
+    else this.range.follow(peakOf(this.frame ?? frame), noiseOf(frame), frame.timestamp);
     this._fresh = true;
     this.refresh();
   }
