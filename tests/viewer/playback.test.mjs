@@ -3,7 +3,7 @@ import test from "node:test";
 
 import { positionText } from "../../tactiled/web/static/format.js";
 import { Plane } from "../../tactiled/web/static/geometry.js";
-import { PlaybackClock, recordingName, splitFrames, stepOf } from "../../tactiled/web/static/playback_clock.js";
+import { PlaybackClock, rateOf, recordingName, splitFrames, stepOf } from "../../tactiled/web/static/playback_clock.js";
 import { PlaybackSession } from "../../tactiled/web/static/playback_session.js";
 import { areasOf, curvesOf } from "../../tactiled/web/static/recorded_series.js";
 import { messageBytes } from "../../tactiled/web/static/wire.js";
@@ -26,6 +26,11 @@ test("no more frames are fetched than a screen shows", () => {
   for (const [frames, duration, speed, step] of [
     [60_000, 600, 1, 1], [60_000, 600, 0.1, 1], [60_000, 600, 10, 16], [600_000, 600, 1, 16], [1, 0, 10, 166],
   ]) assert.equal(stepOf(frames, duration, speed), step, `${frames} in ${duration} s at ${speed}`);
+});
+
+test("a recording of which one frame was read has no rate yet", () => {
+  assert.equal(rateOf({ frames: 1, duration_s: 0.002 }), NaN);
+  assert.equal(rateOf({ frames: 101, duration_s: 1 }), 100);
 });
 
 test("positions have minutes, and hours where there are any", () => {

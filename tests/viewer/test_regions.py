@@ -35,6 +35,7 @@ def test_a_region_is_drawn_named_measured_and_deleted(rig, url, open_page):
     drag(page, box, (0.25, 0.25), (0.75, 0.75))
     page.get_by_label("Name").fill("heel")
     page.locator("#region-limit").select_option("peak")
+    page.wait("/^Now it is [0-9.]+ kPa[.]$/.test(document.getElementById('region-now').innerText)")
     page.locator("#region-above").fill("5")
     assert page.get_by_role("button", name="Cancel").is_visible()
     page.get_by_role("button", name="Save").click()

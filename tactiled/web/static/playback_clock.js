@@ -48,6 +48,9 @@ export function stepOf(frames, duration, speed) {
   return Math.max(1, Math.floor((frames / Math.max(duration, 1e-3)) * (speed / SCREEN_HZ)));
 }
 
+/** @param {{frames: number, duration_s: number}} recorded as far as it was read @returns {number} Hz; NaN of one frame */
+export const rateOf = ({ frames, duration_s }) => (frames > 1 && duration_s > 0 ? (frames - 1) / duration_s : NaN);
+
 /**
  * Find the messages of one frame after another.
  * @param {Uint8Array} bytes of an answer

@@ -3,7 +3,7 @@
 import * as api from "./api.js";
 import { FrameHistory } from "./frame_history.js";
 import { messageOf, notice } from "./notice.js";
-import { PlaybackClock, splitFrames, stepOf } from "./playback_clock.js";
+import { PlaybackClock, rateOf, splitFrames, stepOf } from "./playback_clock.js";
 import { Timeline } from "./timeline.js";
 import { unitOf } from "./units.js";
 import { RAW, RESTORED, SHEAR, messageBytes, packet, parse } from "./wire.js";
@@ -176,6 +176,7 @@ export class PlaybackSession {
   /** More of the recording was read. @param {Played} recorded */
   update(recorded) {
     this.recorded = recorded;
+    if (this.status) this.status.rate_hz = rateOf(recorded);
     this._listener.onChange();
   }
 
@@ -300,11 +301,10 @@ export class PlaybackSession {
 
   /** @param {PlayedFrame} details @param {string} method that was asked for */
   _take(details, method) {
-    const { frames, duration_s, unit } = this.recorded;
+    const { unit } = this.recorded;
     this.contacts.push({ type: "contacts", sequence: details.sequence, timestamp: details.timestamp, unit, contacts: details.contacts, regions: details.regions });
-    const rate_hz = duration_s > 0 ? (frames - 1) / duration_s : NaN;
     this.status = {
-      ...details, type: "status", sensor: this.name, state: "live", age_s: null, rate_hz, jitter_s: null, detail: "",
+      ...details, type: "status", sensor: this.name, state: "live", age_s: null, rate_hz: rateOf(this.recorded), jitter_s: null, detail: "",
       method, ran: details.method, calibration: this.recorded.calibration,
     };
     this._statuses.push(this.status);

@@ -97,7 +97,10 @@ export class Regions {
     } catch {
       return; // the page says already that the service does not answer
     }
-    if (this._dialog.open) await this._plot();
+    if (this._dialog.open) {
+      this._showLimit();
+      await this._plot();
+    }
   }
 
   /** @returns {string} what differs where a region is another */
@@ -214,7 +217,12 @@ export class Regions {
     const quantity = /** @type {Measure|""} */ (this._limit.value);
     byId("region-limits").hidden = !quantity;
     if (!quantity) return;
-    for (const each of this._dialog.querySelectorAll(".limit-unit")) setText(each, unitOfQuantity(quantity, this._viewer.unit));
+    const { session, frame, unit } = this._viewer;
+    const unitText = unitOfQuantity(quantity, unit);
+    for (const each of this._dialog.querySelectorAll(".limit-unit")) setText(each, unitText);
+    const cells = session?.plane.restored;
+    const now = this._chosen && frame && cells && measureRegion(cellsIn(this._chosen, cells), frame, cells);
+    setText(byId("region-now"), now ? `Now it is ${quantity === "force" ? forceNumber(now.force, unit) : number(now[quantity])} ${unitText}.` : "");
   }
 
   async _save() {
