@@ -67,7 +67,7 @@ class Played(schemas.Schema):
     positions_s: list[float] = Field([], description="of `force`")
     force: list[float | None] = Field(
         [],
-        description="total of the raw image, null where too few taxels are known: lowest and highest of each piece",
+        description="total of the raw image, lowest and highest of each piece; null: too few taxels are known",
     )
 
 
