@@ -115,12 +115,13 @@ def _server(host: str, port: int, foxglove: int | None, recordings: str) -> Serv
 def demo_config(record: str | None = None, shear: bool = False) -> Config:
     """The configuration of a recorded grasp, of a 3-axis skin, or of both the latter and `tactiled init`'s array.
 
-    That array has a thicker cover here, which blurs more.
+    That array has a thicker cover here, which blurs more, and the skin beside it finer cells.
     """
     if record and shear:
         raise ConfigError(f"--shear: recording {record} has none: leave one of the two out")
     skin = SHEAR[SHEAR.index("[sensor.skin]") :]
-    both = EXAMPLE.replace("thickness_mm = 1.2", "thickness_mm = 2.0") + skin
+    fine = skin.replace("[sensor.skin.codec]", "refine = 2\n\n[sensor.skin.codec]", 1)
+    both = EXAMPLE.replace("thickness_mm = 1.2", "thickness_mm = 2.0") + fine
     text = GRASP if record else SHEAR if shear else both
     return parse(text.replace(REAL_BUS, VIRTUAL_BUS), "demo")
 

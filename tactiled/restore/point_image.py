@@ -51,7 +51,11 @@ class PointImage:
         self.noise_gain = self._gain()
 
     def _gain(self) -> float:
-        """Give the image's noise over the frame's: it moves forces, places and width, and they the image."""
+        """Give the image's noise over the frame's: it moves forces, places and width, and they the image.
+
+        A width that is narrow for its error has slopes that go on for less than that error: what it moves is no more
+        than what shares p of a load may be out by, p (1 - p), as in `deviation`.
+        """
         loads, k, squares = self._loads, self._refine, self._shares[:2] ** 2
         down, across = squares[..., self._rows].sum(axis=-1), squares[..., self._columns].sum(axis=-1)
         force, row, column = loads.variance.T
@@ -60,8 +64,10 @@ class PointImage:
         half = 0.5 * k**2 * loads.force[:, None]  # a spread's square diffuses what it spreads
         rows, columns = self._shares[..., self._rows], self._shares[..., self._columns]
         wider = (half * rows[2]).T @ columns[0] + (half * rows[0]).T @ columns[2]
-        variance = float(moved.sum()) + loads.width * float(np.vdot(wider, wider))
-        return k**2 * sqrt(loads.noise * variance / self.image.size) / self._noise
+        widened = loads.noise * loads.width * float(np.vdot(wider, wider))
+        powers = [(rows[0] ** n).sum(axis=-1) * (columns[0] ** n).sum(axis=-1) for n in (2, 3, 4)]
+        widened = min(widened, float(loads.force**2 @ (powers[0] - 2 * powers[1] + powers[2])))
+        return k**2 * sqrt((loads.noise * float(moved.sum()) + widened) / self.image.size) / self._noise
 
     def deviation(self) -> Floats:
         """Standard deviation (kPa) of every cell of the image last drawn, by the fit.

@@ -9,6 +9,7 @@ import pytest
 from tactiled.cover.operator import matrix
 from tactiled.restore.methods import make
 from tactiled.restore.nonnegative import Nonnegative
+from tactiled.restore.point_image import PointImage, PointLoads
 from tactiled.restore.points import Points
 from tactiled.restore.scene import Scene
 from tactiled.restore.wiener import Wiener
@@ -85,6 +86,15 @@ def test_the_image_carries_the_force_where_it_is(method, refine):
     assert image.sum() * cell**2 == pytest.approx(1e3 * FORCES.sum(), rel=0.05)
     column, row = ((PLACES[0] + PITCH / 2) / cell).astype(int)
     assert image.argmax() == row * image.shape[1] + column
+
+
+@pytest.mark.parametrize("refine", [1, 2])
+def test_a_narrow_load_of_uncertain_width_is_no_more_uncertain_than_its_cells(refine):
+    drawing = PointImage((4 * refine, 6 * refine), refine, noise=0.2)
+    for spread in (0.05, 0.1, 0.2, 0.4):
+        errors, place = np.array([[0.01, 1e-4, 1e-4]]), np.array([[1.3, 1.5]])
+        drawing(PointLoads(place, np.array([65.0]), np.full((1, 2), spread), errors, width=0.01, noise=1.0))
+        assert 0.2 * drawing.noise_gain < np.sqrt(np.mean(drawing.deviation() ** 2))
 
 
 def test_two_that_touch_the_same_taxels_are_separated():
