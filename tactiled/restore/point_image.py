@@ -53,8 +53,8 @@ class PointImage:
     def _gain(self) -> float:
         """Give the image's noise over the frame's: it moves forces, places and width, and they the image.
 
-        A width that is narrow for its error has slopes that go on for less than that error: what it moves is no more
-        than what shares p of a load may be out by, p (1 - p), as in `deviation`.
+        A width that is narrow for its error has slopes that go on for less than that error: what it moves is no
+        more than what shares p of a load may be out by, p (1 - p), as in `deviation`.
         """
         loads, k, squares = self._loads, self._refine, self._shares[:2] ** 2
         down, across = squares[..., self._rows].sum(axis=-1), squares[..., self._columns].sum(axis=-1)
