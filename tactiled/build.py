@@ -13,8 +13,8 @@ from tactiled.bus.codec import Codec, ShearCodec
 from tactiled.bus.codecs.packed import CLASSIC
 from tactiled.bus.router import Router
 from tactiled.calibrate import calibration_file
-from tactiled.calibrate.calibration import Calibration, Calibrator
 from tactiled.calibrate.calibration_file import CalibrationFile
+from tactiled.calibrate.counts.calibration import Calibration, Calibrator
 from tactiled.calibrate.sections import CoverSection
 from tactiled.config import classic, schema
 from tactiled.cover.cache import Report

@@ -8,8 +8,8 @@ import numpy as np
 
 from tactiled.arrays import Flags, Floats, Floats32
 from tactiled.build import SensorPlan
-from tactiled.calibrate.calibration import Calibrator
-from tactiled.calibrate.tare import Zero, below_zero
+from tactiled.calibrate.counts.calibration import Calibrator
+from tactiled.calibrate.counts.tare import Zero, below_zero
 from tactiled.contacts.felt import shares, unknown_cells
 from tactiled.diagnostics.checks import FrameChecks
 from tactiled.diagnostics.warning_codes import WarningCode, warning

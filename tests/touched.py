@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import RectBivariateSpline
 
-from tactiled.calibrate.presses import Press
+from tactiled.calibrate.cover.presses import Press
 from tactiled.cover.kernel import solve
 from tactiled.cover.operator import _response
 from tactiled.cover.stack import Layer, Stack

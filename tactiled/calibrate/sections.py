@@ -19,14 +19,14 @@ from pydantic import (
 
 from tactiled.arrays import Floats, Reals
 from tactiled.bounds import Syntax
-from tactiled.calibrate.cover_fit import CoverFit, Method
-from tactiled.calibrate.curves import Curves, Form
-from tactiled.calibrate.hysteresis import Loop
+from tactiled.calibrate.counts.curves import Curves, Form
+from tactiled.calibrate.counts.hysteresis import Loop
+from tactiled.calibrate.cover.fit import CoverFit, Method
 from tactiled.cover.stack import Layer, Stack
 from tactiled.errors import ConfigError, TactileError
 
 if TYPE_CHECKING:
-    from tactiled.calibrate.gain import GainFit
+    from tactiled.calibrate.counts.gain import GainFit
 
 DIGITS = 7  # significant ones of a value: those of float32, and far finer than any calibration
 NEW_KEYS = frozenset({"error_kpa", "curvature", "loop", "effective"})  # of version 2, where they are known

@@ -13,10 +13,10 @@ from tactiled import surface
 from tactiled.build import make_array, make_codec, make_kernel, make_stack
 from tactiled.calibrate import calibration_file
 from tactiled.calibrate.calibration_file import CalibrationFile
-from tactiled.calibrate.curves import Curves
-from tactiled.calibrate.means import Rails
-from tactiled.calibrate.plateaus import noise
-from tactiled.calibrate.reference import read_reference
+from tactiled.calibrate.counts.curves import Curves
+from tactiled.calibrate.counts.means import Rails
+from tactiled.calibrate.counts.plateaus import noise
+from tactiled.calibrate.counts.reference import read_reference
 from tactiled.calibrate.sections import Origin, Section, build, gain_sections, utc
 from tactiled.cli import options
 from tactiled.config import schema
@@ -27,8 +27,8 @@ from tactiled.recorded.counts import read_frame_series
 from tactiled.units import number_text
 
 if TYPE_CHECKING:
-    from tactiled.calibrate.frame_series import FrameSeries
-    from tactiled.calibrate.gain import GainFit
+    from tactiled.calibrate.counts.frame_series import FrameSeries
+    from tactiled.calibrate.counts.gain import GainFit
 
 MAX_DEAD_LISTED = 12
 Out = Annotated[Path, typer.Option("--out", "-o", help="Calibration file to write, or to bring up to date.")]
@@ -55,7 +55,7 @@ def gain(
         raise ConfigError("give one of --steps-kpa, --reference and --weight-n")
     settings, name, one = options.one_sensor(config, sensor)
     before = existing(out, name, one)
-    from tactiled.calibrate.gain import unlike_gain
+    from tactiled.calibrate.counts.gain import unlike_gain
 
     with threadpool_limits(1):
         series = read_frame_series(file, name, settings)
@@ -142,8 +142,8 @@ def _fit(
     weight_n: float | None,
 ) -> "GainFit":
     """Fit by the one load that is given."""
-    from tactiled.calibrate import force_gain
-    from tactiled.calibrate import gain as uniform
+    from tactiled.calibrate.counts import force_gain
+    from tactiled.calibrate.counts import gain as uniform
 
     array, rails = make_array(sensor), _rails(sensor)
     series = series.without(sensor.calibration.dead)
@@ -160,7 +160,7 @@ def _fit(
 
 def _reach(sensor: schema.Sensor, file: CalibrationFile | None, array: Array) -> np.ndarray | None:
     """Share (N,) of a load above each taxel that the array senses by its cover; None: that is to be measured."""
-    from tactiled.calibrate.force_gain import reach_of
+    from tactiled.calibrate.counts.force_gain import reach_of
 
     cover = file.cover if file else None
     if sensor.kernel.model == "measured" and (cover is None or cover.kernel is None):

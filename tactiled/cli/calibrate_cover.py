@@ -13,10 +13,10 @@ from tactiled.arrays import Floats
 from tactiled.build import configured_file, make_array, make_calibration, make_codec, make_stack
 from tactiled.calibrate import calibration_file
 from tactiled.calibrate.calibration_file import CalibrationFile
-from tactiled.calibrate.cover_fit import MAX_EDGE_MM, MAX_TIP_MM, MIN_SIZE_MM, CoverFit, Method
-from tactiled.calibrate.recorded_touch import RecordedTouch, fit_touch
+from tactiled.calibrate.cover.fit import MAX_EDGE_MM, MAX_TIP_MM, MIN_SIZE_MM, CoverFit, Method
+from tactiled.calibrate.cover.recorded_touch import RecordedTouch, fit_touch
+from tactiled.calibrate.cover.unknowns import Unknowns
 from tactiled.calibrate.sections import CoverSection
-from tactiled.calibrate.unknowns import Unknowns
 from tactiled.cli import options
 from tactiled.cli.calibrate import Out, made_from, matching, update
 from tactiled.config import schema

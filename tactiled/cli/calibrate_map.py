@@ -7,9 +7,9 @@ import typer
 from threadpoolctl import threadpool_limits
 
 from tactiled.build import configured_file, make_array, make_calibration, make_codec
-from tactiled.calibrate.means import unknown_taxels
-from tactiled.calibrate.recorded_presses import noise_of, pressures
-from tactiled.calibrate.taxel_map import Direction, check_map
+from tactiled.calibrate.counts.means import unknown_taxels
+from tactiled.calibrate.cover.recorded_presses import noise_of, pressures
+from tactiled.calibrate.upkeep.taxel_map import Direction, check_map
 from tactiled.cli import options
 from tactiled.errors import ConfigError
 from tactiled.recorded.counts import read_frame_series

@@ -3,7 +3,7 @@
 import numpy as np
 
 from tactiled.arrays import Reals
-from tactiled.calibrate.deblur import Convolution, Images, Precision, deblurred
+from tactiled.calibrate.cover.deblur import Convolution, Images, Precision, deblurred
 from tactiled.cover.family import CoverFamily
 from tactiled.diagnostics.checks import MODEL_ERROR
 from tactiled.geometry import Array

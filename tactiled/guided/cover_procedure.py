@@ -5,15 +5,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tactiled.calibrate.calibration_file import CalibrationFile
-from tactiled.calibrate.cover_fit import CoverFit, Method
-from tactiled.calibrate.frame_series import FrameSeries
-from tactiled.calibrate.quality import Need, Quality, advice, enough, zone_counts
+from tactiled.calibrate.counts.frame_series import FrameSeries
+from tactiled.calibrate.cover.fit import CoverFit, Method
 from tactiled.calibrate.sections import CoverSection
 from tactiled.cover.stack import Stack
 from tactiled.errors import CalibrationStateError
 from tactiled.guided.frame_collector import FrameCollector
 from tactiled.guided.live_presses import LiveContact, LivePresses
 from tactiled.guided.live_sections import origin, with_sections
+from tactiled.guided.quality import Need, Quality, advice, enough, zone_counts
 from tactiled.live.sensor import Sensor
 from tactiled.processes import FitProcess
 
@@ -71,7 +71,10 @@ class CoverProcedure:
 
     def fit(self, series: FrameSeries, process: FitProcess) -> CoverOutcome:
         """The thickness that explains the frames."""
-        from tactiled.calibrate.recorded_touch import RecordedTouch, fit_touch  # here: the service starts faster
+        from tactiled.calibrate.cover.recorded_touch import (  # here: the service starts faster
+            RecordedTouch,
+            fit_touch,
+        )
 
         sensor = self._sensor
         now = sensor.pipeline.calibrator

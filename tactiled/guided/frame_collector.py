@@ -3,7 +3,7 @@
 import numpy as np
 
 from tactiled.arrays import Floats32
-from tactiled.calibrate.frame_series import FrameSeries
+from tactiled.calibrate.counts.frame_series import FrameSeries
 from tactiled.frames import BAD, MISSING, RawFrame
 
 MAX_S = 120.0  # of frames that are collected: time for 20 presses of 5 s each

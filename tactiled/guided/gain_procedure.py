@@ -9,22 +9,22 @@ from tactiled import surface
 from tactiled.arrays import Floats
 from tactiled.build import SensorPlan
 from tactiled.calibrate.calibration_file import CalibrationFile
-from tactiled.calibrate.curves import Curves
-from tactiled.calibrate.frame_series import FrameSeries
-from tactiled.calibrate.means import Rails
-from tactiled.calibrate.plateaus import noise
-from tactiled.calibrate.quality import Need, Quality, advice, enough, zone_counts
+from tactiled.calibrate.counts.curves import Curves
+from tactiled.calibrate.counts.frame_series import FrameSeries
+from tactiled.calibrate.counts.means import Rails
+from tactiled.calibrate.counts.plateaus import noise
 from tactiled.calibrate.sections import gain_sections
 from tactiled.errors import CalibrationStateError, ConfigError
 from tactiled.guided.frame_collector import FrameCollector
 from tactiled.guided.live_sections import origin, with_sections
+from tactiled.guided.quality import Need, Quality, advice, enough, zone_counts
 from tactiled.live.sensor import Sensor
 from tactiled.processes import FitProcess
 from tactiled.restore.noise import NORMAL_95
 from tactiled.units import number_text
 
 if TYPE_CHECKING:
-    from tactiled.calibrate.gain import GainFit
+    from tactiled.calibrate.counts.gain import GainFit
 
 GainWay = Literal["uniform", "weight"]
 MarkKey = Literal["pressure_kpa", "weight_n"]
@@ -117,11 +117,11 @@ class GainProcedure:
         return FrameSeries(np.concatenate(times), np.concatenate(counts))
 
     def _fitted(self, frames: FrameSeries, process: FitProcess) -> "GainFit":
-        from tactiled.calibrate.force_gain import (
+        from tactiled.calibrate.counts.force_gain import (
             fit_weight,
             reach_of,
         )  # imported where needed: it starts the service faster
-        from tactiled.calibrate.gain import fit_steps
+        from tactiled.calibrate.counts.gain import fit_steps
 
         plan, values = self._sensor.plan, [value for value, _ in self._marks]
         limits = Rails.of(plan.calibration.saturation, plan.codec.ends)
@@ -133,7 +133,7 @@ class GainProcedure:
 
 
 def _outcome(plan: SensorPlan, file: CalibrationFile, fitted: "GainFit") -> GainOutcome:
-    from tactiled.calibrate.gain import unlike_gain
+    from tactiled.calibrate.counts.gain import unlike_gain
 
     curves, before = fitted.curves, plan.calibration.kpa_per_count if plan.calibrated else None
     live = np.setdiff1d(np.arange(curves.size), fitted.dead)

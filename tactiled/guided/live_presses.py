@@ -3,8 +3,14 @@
 import numpy as np
 
 from tactiled.arrays import Floats32, Mask
-from tactiled.calibrate.frame_series import FrameSeries
-from tactiled.calibrate.presses import MAX_UNLOADED_FRAMES, SETTLING_FRAMES, SMOOTHED_FRAMES, Press, find_presses
+from tactiled.calibrate.counts.frame_series import FrameSeries
+from tactiled.calibrate.cover.presses import (
+    MAX_UNLOADED_FRAMES,
+    SETTLING_FRAMES,
+    SMOOTHED_FRAMES,
+    Press,
+    find_presses,
+)
 from tactiled.errors import ConfigError
 from tactiled.frames import MISSING, SATURATED
 from tactiled.guided.frame_collector import FrameCollector

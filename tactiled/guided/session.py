@@ -5,13 +5,13 @@ import time
 from collections.abc import Callable
 from typing import Literal
 
-from tactiled.calibrate.frame_series import FrameSeries
-from tactiled.calibrate.quality import Quality
+from tactiled.calibrate.counts.frame_series import FrameSeries
 from tactiled.errors import CalibrationStateError, TactileError
 from tactiled.frames import RawFrame
 from tactiled.guided.cover_procedure import CoverOutcome, CoverProcedure
 from tactiled.guided.frame_collector import FrameCollector
 from tactiled.guided.gain_procedure import GainOutcome, GainProcedure
+from tactiled.guided.quality import Quality
 from tactiled.live.sensor import Sensor
 from tactiled.processes import Cancelled, FitProcess
 

@@ -10,10 +10,10 @@ import numpy as np
 
 from tactiled.arrays import Flags, Floats32
 from tactiled.build import SensorPlan
-from tactiled.calibrate.blind import MAX_GAIN_ERROR, Profiles, add_contacts
-from tactiled.calibrate.contact_frames import CLEAR, MAX_NEAR_FRAMES
-from tactiled.calibrate.cover_fit import CoverFit
-from tactiled.calibrate.recorded_presses import gain_errors
+from tactiled.calibrate.cover.blind import MAX_GAIN_ERROR, Profiles, add_contacts
+from tactiled.calibrate.cover.contact_frames import CLEAR, MAX_NEAR_FRAMES
+from tactiled.calibrate.cover.fit import CoverFit
+from tactiled.calibrate.cover.recorded_presses import gain_errors
 from tactiled.diagnostics.warning_codes import cover_warning
 from tactiled.frames import SATURATED, FrameWarning
 from tactiled.processes import start

@@ -3,7 +3,7 @@
 import numpy as np
 
 from tactiled.arrays import Floats32
-from tactiled.calibrate.calibration import Calibration
+from tactiled.calibrate.counts.calibration import Calibration
 from tactiled.core import readings
 from tactiled.diagnostics.checks import NOISE_RATIO
 from tactiled.diagnostics.warning_codes import warning

@@ -10,8 +10,8 @@ import numpy as np
 
 from tactiled.arrays import Flags, Floats, Floats32
 from tactiled.build import SensorPlan
-from tactiled.calibrate.monitor import SkinMonitor
-from tactiled.calibrate.tare import Zero, blocks, load_description, own_noise, robust_mean
+from tactiled.calibrate.counts.tare import Zero, blocks, load_description, own_noise, robust_mean
+from tactiled.calibrate.upkeep.monitor import SkinMonitor
 from tactiled.chain import Chain, flag_warnings
 from tactiled.core import readings
 from tactiled.diagnostics.warning_codes import warning

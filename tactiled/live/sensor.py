@@ -13,7 +13,7 @@ import numpy as np
 from tactiled.arrays import Floats32
 from tactiled.build import SensorPlan
 from tactiled.calibrate.calibration_file import CalibrationFile
-from tactiled.calibrate.tare import Zero
+from tactiled.calibrate.counts.tare import Zero
 from tactiled.contacts.detection import Contact
 from tactiled.errors import LoadedError, NoShearError, NotLiveError, TareStateError
 from tactiled.frames import FrameWarning, Image, Loss, RawFrame

@@ -13,8 +13,8 @@ from typing import Any, TypeVar
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
+from tactiled.calibrate.counts.tare import Zero
 from tactiled.calibrate.sections import OptionalValues, Table, Values, optional
-from tactiled.calibrate.tare import Zero
 from tactiled.contacts.regions import Region
 from tactiled.errors import ConfigError, StateError
 from tactiled.files import atomic_write

@@ -4,7 +4,7 @@ import threading
 import time
 from collections.abc import Callable, Hashable, Iterable
 
-from tactiled.calibrate.health import RULES, Change, Fault
+from tactiled.calibrate.upkeep.health import RULES, Change, Fault
 from tactiled.contacts.regions import measure_units
 from tactiled.frames import FrameWarning
 from tactiled.live.events import Events, Faults, Kind

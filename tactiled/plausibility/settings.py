@@ -14,7 +14,7 @@ import numpy as np
 from tactiled.build import make_array, make_calibration, make_codec
 from tactiled.bus.codec import Codec, whole_counts
 from tactiled.bus.codecs.dbc import Dbc
-from tactiled.calibrate.calibration import Calibration
+from tactiled.calibrate.counts.calibration import Calibration
 from tactiled.config import schema
 from tactiled.errors import TactileError
 from tactiled.geometry import Array, grid

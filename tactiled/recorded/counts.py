@@ -8,7 +8,7 @@ from tactiled.build import make_codec
 from tactiled.bus.recording import Recording
 from tactiled.bus.replay import AT_ONCE, frames
 from tactiled.bus.router import Router
-from tactiled.calibrate.frame_series import FrameSeries
+from tactiled.calibrate.counts.frame_series import FrameSeries
 from tactiled.config import Config
 from tactiled.errors import ConfigError
 from tactiled.frames import BAD, MISSING

@@ -11,7 +11,7 @@ from tactiled.arrays import Floats32
 from tactiled.build import SensorPlan
 from tactiled.bus.codec import Codec
 from tactiled.bus.router import Router
-from tactiled.calibrate.calibration import Calibrator
+from tactiled.calibrate.counts.calibration import Calibrator
 from tactiled.frames import UNKNOWN, RawFrame
 from tactiled.live.noise import NOISE_FRAMES
 from tactiled.restore.noise import estimate

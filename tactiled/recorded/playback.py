@@ -13,7 +13,7 @@ import numpy as np
 
 from tactiled.arrays import Flags, Floats, Floats32
 from tactiled.build import SensorPlan
-from tactiled.calibrate.tare import Zero, below_zero
+from tactiled.calibrate.counts.tare import Zero, below_zero
 from tactiled.chain import Chain, flag_warnings
 from tactiled.contacts.detection import Contact, Finder
 from tactiled.contacts.felt import MIN_SUM_SHARE

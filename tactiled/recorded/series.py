@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from tactiled.arrays import Floats, Floats32
 from tactiled.build import SensorPlan
-from tactiled.calibrate.tare import Zero
+from tactiled.calibrate.counts.tare import Zero
 from tactiled.contacts.regions import Measures, Region, RegionMeter
 from tactiled.frames import MISSING
 from tactiled.processes import Cancelled, FitProcess

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from tactiled.calibrate.calibration import Calibration
+from tactiled.calibrate.counts.calibration import Calibration
 from tactiled.cover.kernel import Kernel
 from tactiled.cover.operator import cached, matrix, stencil
 from tactiled.geometry import Array

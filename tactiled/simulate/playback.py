@@ -8,7 +8,7 @@ from threading import Event
 import numpy as np
 
 from tactiled.bus.codec import Codec, ShearCodec
-from tactiled.calibrate.calibration import Calibration
+from tactiled.calibrate.counts.calibration import Calibration
 from tactiled.cover.kernel import Kernel
 from tactiled.errors import ConfigError
 from tactiled.frames import Message

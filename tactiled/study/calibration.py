@@ -16,16 +16,16 @@ from rich.progress import track
 
 from tactiled import surface
 from tactiled.arrays import Flags, Floats, Floats32, Reals
-from tactiled.calibrate.blind import fit_blind
-from tactiled.calibrate.cover_fit import CoverFit
-from tactiled.calibrate.cover_result import fit_cover
-from tactiled.calibrate.edge import edge_touch
-from tactiled.calibrate.frame_series import FrameSeries
-from tactiled.calibrate.gain import GainFit, fit_steps
-from tactiled.calibrate.means import Rails
-from tactiled.calibrate.presses import Press, find_presses
-from tactiled.calibrate.tip import Tip, tip_touch
-from tactiled.calibrate.unknowns import CALIPER_ERROR_MM
+from tactiled.calibrate.counts.frame_series import FrameSeries
+from tactiled.calibrate.counts.gain import GainFit, fit_steps
+from tactiled.calibrate.counts.means import Rails
+from tactiled.calibrate.cover.blind import fit_blind
+from tactiled.calibrate.cover.edge import edge_touch
+from tactiled.calibrate.cover.fit import CoverFit
+from tactiled.calibrate.cover.presses import Press, find_presses
+from tactiled.calibrate.cover.result import fit_cover
+from tactiled.calibrate.cover.tip import Tip, tip_touch
+from tactiled.calibrate.cover.unknowns import CALIPER_ERROR_MM
 from tactiled.cover.family import CoverFamily
 from tactiled.cover.kernel import cached
 from tactiled.cover.stack import Layer, Stack

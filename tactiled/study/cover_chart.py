@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tactiled.calibrate.cover_fit import CoverFit
+from tactiled.calibrate.cover.fit import CoverFit
 from tactiled.cover.stack import Stack
 from tactiled.errors import ConfigError
 from tactiled.study.charts import BLUE, RED, figure

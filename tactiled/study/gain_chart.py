@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tactiled.calibrate.gain import GainFit
+from tactiled.calibrate.counts.gain import GainFit
 from tactiled.study.charts import BLUE, COLOURS, RED, figure
 
 MAX_TAXELS_DRAWN = 6  # by their gains, from the lowest to the highest

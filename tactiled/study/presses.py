@@ -11,7 +11,7 @@ import numpy as np
 from scipy.special import j1
 
 from tactiled.arrays import Floats, Ints
-from tactiled.calibrate.frame_series import FrameSeries
+from tactiled.calibrate.counts.frame_series import FrameSeries
 from tactiled.cover.kernel import Kernel, solve
 from tactiled.cover.operator import aperture_mean
 from tactiled.cover.stack import Stack

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactiled.bus.error_frames import KINDS
-from tactiled.calibrate.drift import State as DriftState
-from tactiled.calibrate.health import RULES, Fault
+from tactiled.calibrate.upkeep.drift import State as DriftState
+from tactiled.calibrate.upkeep.health import RULES, Fault
 from tactiled.contacts.detection import Contact
 from tactiled.cover.summary import summarise
 from tactiled.frames import Image

@@ -9,7 +9,7 @@ import pytest
 from tactiled.build import make_codec, sensor_plan, sensor_plans
 from tactiled.bus.assembler import assemble
 from tactiled.bus.codecs.dbc import Dbc, expand, numbered
-from tactiled.calibrate.means import Rails
+from tactiled.calibrate.counts.means import Rails
 from tactiled.config import load, parse
 from tactiled.errors import CodecError, ConfigError
 from tactiled.frames import BAD, Message

@@ -15,7 +15,7 @@ from tactiled.bus.codecs.packed import Packed
 from tactiled.bus.codecs.xela import Xela
 from tactiled.bus.polling import START_AGAIN_S, Poll, Poller, Polling
 from tactiled.bus.reader import open_bus
-from tactiled.calibrate.calibration import Calibration
+from tactiled.calibrate.counts.calibration import Calibration
 from tactiled.config import parse
 from tactiled.cover.kernel import solve
 from tactiled.errors import BusError

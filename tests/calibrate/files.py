@@ -3,8 +3,8 @@
 import numpy as np
 
 from tactiled.calibrate.calibration_file import CalibrationFile
-from tactiled.calibrate.cover_fit import CoverFit
-from tactiled.calibrate.curves import Curves
+from tactiled.calibrate.counts.curves import Curves
+from tactiled.calibrate.cover.fit import CoverFit
 from tactiled.calibrate.sections import CoverSection, GainSection, HealthSection, NoLoadSection, Origin, build
 from tactiled.cover.stack import Layer, Stack
 

@@ -7,7 +7,7 @@ import pytest
 
 from tactiled.build import make_array, make_codec, make_stack
 from tactiled.calibrate import calibration_file
-from tactiled.calibrate.unknowns import Unknowns
+from tactiled.calibrate.cover.unknowns import Unknowns
 from tactiled.cli import calibrate_cover
 from tactiled.cli.calibrate_cover import _lines
 from tactiled.config import parse

@@ -75,13 +75,13 @@ def test_a_service_with_a_cached_kernel_imports_no_solver_and_nothing_that_only_
     program = (
         "import gc, sys; from tactiled.cli import main, run; from tactiled.web.app import create;"
         "run.serve = lambda service, at: create(service, at) and fit() and print(gc.isenabled(), *sys.modules);"
-        "fit = lambda: __import__('tactiled.calibrate.force_gain'); main()"
+        "fit = lambda: __import__('tactiled.calibrate.counts.force_gain'); main()"
     )
     for _ in range(2):  # the first solves the cover
         output = python(program, "run", str(config), XDG_CACHE_HOME=str(tmp_path), XDG_STATE_HOME=str(tmp_path))
     collects, *names = output.split()
     assert collects == "True"
-    assert "tactiled.calibrate.force_gain" in names  # which the process of a fit imports
+    assert "tactiled.calibrate.counts.force_gain" in names  # which the process of a fit imports
     unused = "skfem", "skimage", "matplotlib", "scipy.ndimage", "scipy.stats", "tactiled.study", "rerun", "rosbags"
     assert not of(names, *unused)
 

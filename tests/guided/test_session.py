@@ -6,9 +6,9 @@ from unittest.mock import MagicMock, Mock
 import numpy as np
 import pytest
 
-from tactiled.calibrate.quality import Quality
 from tactiled.errors import CalibrationStateError, ConfigError, NoCalibrationError, PhysicsError
 from tactiled.guided.calibrations import GuidedCalibrations
+from tactiled.guided.quality import Quality
 from tactiled.guided.session import IDLE_S, NEXT_STATE, CalibrationSession
 from tests.conftest import Clock, pressed, until
 

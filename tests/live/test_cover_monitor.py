@@ -4,7 +4,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from tactiled.calibrate.cover_fit import CoverFit
+from tactiled.calibrate.cover.fit import CoverFit
 from tactiled.frames import SATURATED, Loss, RawFrame
 from tactiled.live import cover_monitor
 from tactiled.live.cover_monitor import CONTACTS, EVERY_FRAMES, PAUSE, ZERO_FRAMES, CoverMonitor, Steep

@@ -2,8 +2,8 @@ from dataclasses import replace
 
 import pytest
 
-from tactiled.calibrate.creep import Creep
-from tactiled.calibrate.health import Change, Fault
+from tactiled.calibrate.upkeep.creep import Creep
+from tactiled.calibrate.upkeep.health import Change, Fault
 from tactiled.diagnostics.warning_codes import warning
 from tactiled.frames import MISSING
 from tactiled.live.events import CLEAR_AFTER_S, Events, Faults

@@ -3,9 +3,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tactiled.calibrate.curves import Curves
-from tactiled.calibrate.hysteresis import Loop
-from tactiled.calibrate.tare import Zero
+from tactiled.calibrate.counts.curves import Curves
+from tactiled.calibrate.counts.hysteresis import Loop
+from tactiled.calibrate.counts.tare import Zero
 from tactiled.live.pipeline import Pipeline
 from tactiled.recorded.playback import PAST_EVERY_FRAMES, Playback
 from tests.conftest import GAIN, NO_LOAD, SIDE

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from tactiled.build import sensor_plan
-from tactiled.calibrate.health import Fault
 from tactiled.calibrate.sections import NoLoadSection, utc
+from tactiled.calibrate.upkeep.health import Fault
 from tactiled.config import parse
 from tactiled.contacts.regions import Region, RegionMeter
 from tactiled.diagnostics.checks import CHECK_EVERY_FRAMES, CHECKS_IN_A_ROW

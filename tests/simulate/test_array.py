@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 from scipy.interpolate import CubicSpline
 
-from tactiled.calibrate.calibration import Calibration
+from tactiled.calibrate.counts.calibration import Calibration
 from tactiled.cover.kernel import solve
 from tactiled.cover.stack import Layer, Stack
 from tactiled.geometry import grid, layout

@@ -5,7 +5,7 @@ import pytest
 
 from tactiled.bus.codecs.packed import Packed
 from tactiled.bus.codecs.xela import Xela
-from tactiled.calibrate.calibration import Calibration
+from tactiled.calibrate.counts.calibration import Calibration
 from tactiled.cover.kernel import solve
 from tactiled.cover.stack import Layer, Stack
 from tactiled.frames import Message

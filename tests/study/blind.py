@@ -7,11 +7,11 @@ from typing import NamedTuple
 import numpy as np
 from rich.progress import track
 
-from tactiled.calibrate.calibration import Calibration
-from tactiled.calibrate.cover_fit import CoverFit
-from tactiled.calibrate.curves import Curves
-from tactiled.calibrate.frame_series import FrameSeries
-from tactiled.calibrate.recorded_touch import RecordedTouch, fit_touch
+from tactiled.calibrate.counts.calibration import Calibration
+from tactiled.calibrate.counts.curves import Curves
+from tactiled.calibrate.counts.frame_series import FrameSeries
+from tactiled.calibrate.cover.fit import CoverFit
+from tactiled.calibrate.cover.recorded_touch import RecordedTouch, fit_touch
 from tactiled.cli.bench import print_table
 from tactiled.cover.kernel import solve
 from tactiled.cover.stack import Layer, Stack

@@ -9,11 +9,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tactiled.calibrate.blocks import Blocks
-from tactiled.calibrate.calibration import Calibration, Calibrator
-from tactiled.calibrate.curves import Curves
-from tactiled.calibrate.health import Fault
-from tactiled.calibrate.monitor import SkinMonitor
+from tactiled.calibrate.counts.calibration import Calibration, Calibrator
+from tactiled.calibrate.counts.curves import Curves
+from tactiled.calibrate.upkeep.blocks import Blocks
+from tactiled.calibrate.upkeep.health import Fault
+from tactiled.calibrate.upkeep.monitor import SkinMonitor
 from tactiled.cli.bench import print_table
 from tactiled.config import load
 from tactiled.frames import Loss, RawFrame

@@ -10,11 +10,11 @@ import typer
 from scipy.io import loadmat
 from scipy.signal import lfilter
 
-from tactiled.calibrate.calibration import Calibration, Calibrator
-from tactiled.calibrate.frame_series import FrameSeries
-from tactiled.calibrate.gain import fit_pressure
-from tactiled.calibrate.means import Rails
-from tactiled.calibrate.reference import Reference
+from tactiled.calibrate.counts.calibration import Calibration, Calibrator
+from tactiled.calibrate.counts.frame_series import FrameSeries
+from tactiled.calibrate.counts.gain import fit_pressure
+from tactiled.calibrate.counts.means import Rails
+from tactiled.calibrate.counts.reference import Reference
 from tactiled.cli.bench import print_table
 
 KPA_PER_BAR = 100.0

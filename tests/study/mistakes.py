@@ -12,11 +12,11 @@ import numpy as np
 import typer
 from scipy.special import j0, j1
 
-from tactiled.calibrate.cover_result import fit_cover
-from tactiled.calibrate.edge import edge_touch
-from tactiled.calibrate.presses import find_presses
-from tactiled.calibrate.tip import Tip, tip_touch
-from tactiled.calibrate.unknowns import CALIPER_ERROR_MM
+from tactiled.calibrate.cover.edge import edge_touch
+from tactiled.calibrate.cover.presses import find_presses
+from tactiled.calibrate.cover.result import fit_cover
+from tactiled.calibrate.cover.tip import Tip, tip_touch
+from tactiled.calibrate.cover.unknowns import CALIPER_ERROR_MM
 from tactiled.cli.bench import print_table
 from tactiled.cover.operator import aperture_mean
 from tactiled.cover.stack import Layer, Stack

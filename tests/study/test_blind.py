@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from tactiled.calibrate.cover_fit import CoverFit
+from tactiled.calibrate.cover.fit import CoverFit
 from tests.study.blind import DRIFT_KPA, KINDS, KPA_PER_COUNT, NOISE_KPA, ROW_NOISE_KPA, line, outcome, recording
 
 FREE = 40  # frames before the first press, and at the end

@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 from fastapi import APIRouter, Depends, Request
 from pydantic import Discriminator, Field, Tag
 
-from tactiled.calibrate.cover_fit import MAX_EDGE_MM, MAX_TIP_MM, MIN_SIZE_MM
+from tactiled.calibrate.cover.fit import MAX_EDGE_MM, MAX_TIP_MM, MIN_SIZE_MM
 from tactiled.errors import CalibrationStateError
 from tactiled.guided import session as calibration_session
 from tactiled.guided.calibrations import GuidedCalibrations, Session

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tactiled.errors import StateError
-from tests.calibrate.skins import contact
+from tests.calibrate.counts.skins import contact
 from tests.calibrating import TIP_MM, TRUE_FACTOR, CalibratedSkin
 from tests.conftest import GAIN, problem, until
 

@@ -4,7 +4,7 @@ import shutil
 import numpy as np
 import pytest
 
-from tactiled.calibrate.health import RULES, Fault
+from tactiled.calibrate.upkeep.health import RULES, Fault
 from tactiled.config import parse
 from tactiled.live.service import Service
 from tactiled.live.state import StateFile

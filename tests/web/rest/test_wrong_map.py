@@ -1,7 +1,7 @@
 import numpy as np
 
 from tactiled.frames import Loss, RawFrame
-from tests.calibrate.skins import contact
+from tests.calibrate.counts.skins import contact
 from tests.conftest import GAIN, NO_LOAD, until
 
 SWAPPED = [20, 43]
