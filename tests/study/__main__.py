@@ -26,8 +26,8 @@ from tests.study import (
 
 app = typer.Typer(add_completion=False, no_args_is_help=True)
 for measurement in (
-    blind.blind, border.border, bus.bus, bus.against, contacts.contacts, cover.cover, felt.felt,
-    frame_times.frame_times, frame_times.frames_against, health.health, insole.insole, invented.invented,
+    blind.blind, border.border, bus.bus, contacts.contacts, cover.cover, felt.felt,
+    frame_times.frame_times, health.health, insole.insole, invented.invented,
     judge.judge, mistakes.mistakes, restart.restart, restore.restore, sensors.sensors,
     sensors.sensors_against, soak.soak, train.train, zenoh.zenoh,
 ):  # fmt: skip

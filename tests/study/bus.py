@@ -24,7 +24,6 @@ from tactiled.bus.socketcan import MAX_FRAMES
 from tactiled.cli.bench import print_table
 from tactiled.errors import BusError
 from tactiled.study.results import machine
-from tests.study.checkout import figures
 
 LIVE = "packed, 32 x 32 of 12 bits, classic"
 SKINS = {
@@ -148,45 +147,6 @@ def buses_of(interface, channels):
     vcans = [name for name in ("vcan0", "vcan1") if Path("/sys/class/net", name).exists()]
     measured = [[{"interface": "virtual", "channel": "tactiled-bench"}]]
     return measured + ([[{"interface": "socketcan", "channel": name} for name in vcans]] if vcans else [])
-
-
-WORKER = """
-import sys, time
-import numpy as np
-from tactiled.bus.codecs.icub import Icub
-from tactiled.bus.codecs.packed import Packed
-from tactiled.bus.codecs.xela import Xela
-from tactiled.bus.router import Router
-size = int(sys.argv[1])  # messages at once; 0: of a frame
-for codec in (Packed(1024, 12), Packed(1024, 12, fd=True), Icub(0, tuple(range(16))), Xela()):
-    messages = [m._replace(time=n / 100) for n in range(64) for m in codec.encode(
-        np.arange(codec.size, dtype=np.uint16) % 200 + n, n, 0.0)]
-    pieces = messages
-    if size >= 0:
-        from tactiled.bus.batch import Batch
-        step = size or codec.segments
-        pieces = [Batch.of(messages[at:at + step]) for at in range(0, len(messages), step)]
-    took = []
-    for _ in range(5):
-        router, began = Router({"it": codec}), time.thread_time()
-        assert sum(len(router.push(each)) for each in pieces) == 64
-        took.append(time.thread_time() - began)
-    print(min(took) / len(messages) * 1e6)
-"""
-
-
-def against(tree: Path, rounds: int = 3) -> None:
-    """Hold this tree against a checkout of 0.4.2, in turn: processor time to decode and assemble a message."""
-    sizes = {"one at a time": 1, "a frame at once": 0, "256 at once": 256}
-    ways = (("0.4.2", tree, -1), *((name, Path.cwd(), size) for name, size in sizes.items()))
-    took = {name: [] for name, *_ in ways}
-    for _ in range(rounds):
-        for name, path, size in ways:
-            took[name].append(figures(path, WORKER, str(size)))
-    columns = [np.min(each, axis=0) for each in took.values()]
-    rows = [(skin, *(f"{each:.2f}" for each in us)) for skin, *us in zip(SKINS, *columns, strict=True)]
-    print_table("µs a message", ("skin", *took), rows)
-    print(machine())
 
 
 def bus(interface: str = "", channel: list[str] = [], rate: float = 16_000, seconds: float = 2.0) -> None:  # noqa: B006

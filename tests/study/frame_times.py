@@ -1,14 +1,9 @@
-"""Times of single frames: cold, after a jump, and while a scene moves, against scikit-image's Wiener filter.
-
-And of the same frames with another checkout, 0.4.2 or later.
-"""
+"""Times of single frames: cold, after a jump, and while a scene moves, against scikit-image's Wiener filter."""
 
 from collections import defaultdict
 from functools import partial
 from itertools import cycle, product
 from math import inf
-from pathlib import Path
-from tempfile import TemporaryDirectory
 from time import thread_time
 
 import numpy as np
@@ -21,7 +16,6 @@ from tactiled.study.peers import skimage_wiener
 from tactiled.study.results import machine
 from tactiled.study.scenes import PEAK_KPA
 from tactiled.study.skin import rubber, sense
-from tests.study.checkout import figures
 from tests.study.held_out_scenes import HELD_OUT_SCENES, MOTIONS, held_out
 from tests.study.judge import NOISES, THICKNESSES
 
@@ -125,52 +119,4 @@ def frame_times(
             ratio = figures[-1] / np.median(wiener)
             rows.append((label, str(len(took)), *(f"{each:.0f}" for each in figures), f"{ratio:.1f}"))
         print_table(f"{method} at {size} x {size}: µs a frame, the least of {PASSES} passes", HEADINGS, rows)
-    print(machine())
-
-
-WORKER = """
-import sys
-from time import thread_time
-import numpy as np
-from tactiled.restore.methods import make
-try:
-    from tactiled.bench.skin import rubber  # 0.4.2
-except ModuleNotFoundError:
-    from tactiled.study.skin import rubber
-path, peak = sys.argv[1:]
-took = []
-for setting, frames in np.load(path).items():
-    size, thickness, noise = (float(each) for each in setting.split())
-    restorer = make("auto", rubber(thickness, int(size)).blur, noise * float(peak))
-    if hasattr(restorer, "prepare"):
-        restorer.prepare()
-    passes = []
-    for _ in range(5):
-        for frame in frames:
-            began = thread_time()
-            restorer(frame)
-            passes.append(thread_time() - began)
-    took.append(np.min(np.reshape(passes, (5, -1))[1:], axis=0))
-print(*(1e6 * np.percentile(took, (50, 99))), 1e6 * np.mean(took))
-"""
-
-
-def frames_against(tree: Path, sizes: str = "16,32,64", frames: int = 120, rounds: int = 2, seed: int = 1) -> None:
-    """Compare `auto` with a checkout's, in turn: processor time of the same frames, without a budget."""
-    rows = []
-    for size in map(int, sizes.split(",")):
-        sequences, random = {}, np.random.default_rng(seed)
-        for thickness in THICKNESSES:
-            clips = list(clean_clips(size, thickness, seed))
-            for noise in NOISES:
-                sequences[f"{size} {thickness} {noise}"] = chunk(clips, frames, noise, random)[1]
-        took = defaultdict(list)
-        with TemporaryDirectory() as folder:
-            path = Path(folder) / "frames.npz"
-            np.savez(path, **sequences)
-            for _, checkout in product(range(rounds), (tree, Path.cwd())):
-                took[checkout].append(figures(checkout, WORKER, str(path), str(PEAK_KPA)))
-        for checkout, us in took.items():
-            rows.append((f"{size} x {size}", str(checkout), *(f"{each:.0f}" for each in np.min(us, axis=0))))
-    print_table("auto, µs a frame", ("", "checkout", "median", "p99", "mean"), rows)
     print(machine())
