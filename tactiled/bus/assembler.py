@@ -56,9 +56,8 @@ class Assembler:
 
     def count(self, kind: str, by: int = 1) -> None:
         """Add to one kind of loss."""
-        if by:
-            self._counts[kind] += by
-            self._loss = None
+        self._counts[kind] += by
+        self._loss = None
 
     @property
     def loss(self) -> Loss:
@@ -83,21 +82,21 @@ class Assembler:
         """
         batch = Batch.of((batch,)) if isinstance(batch, Message) else batch
         arrivals, malformed = decoded(self.codec, batch, now)
-        self._others = [
-            _Others(kind, places)
-            for kind, places in (("malformed", malformed), ("foreign", foreign))
-            if places.size
-        ]
+        if malformed.size or foreign.size:
+            self._others = [_Others("malformed", malformed), _Others("foreign", foreign)]
         frames: list[tuple[int, RawFrame]] = []
         at, count = 0, 0 if arrivals is None else len(arrivals.readings.segments)
         while arrivals is not None and at < count:
             at = self._take(arrivals, at, frames)
-        self._count_others(len(batch))
+        if self._others:
+            self._count_others(len(batch))
+            self._others = []
         return frames
 
     def flush(self, before: float) -> tuple[RawFrame, ...]:
         """Close, marked, a frame whose newest message came before time `before` (s)."""
-        return self._close() if self._open is not None and self._open.arrived < before else ()
+        closed = self._close() if self._open is not None and self._open.arrived < before else None
+        return () if closed is None else (closed,)
 
     def _take(self, arrivals: Arrivals, at: int, frames: list[tuple[int, RawFrame]]) -> int:
         """Take message `at` and the following ones of the same frame; returns the first message not taken."""
@@ -112,8 +111,10 @@ class Assembler:
             return at + 1
         self._old = 0
         if step or frame is None:
-            frames += self._closed_by(arrivals.row(at))
-            self.count("lost", (step - 1) * self.codec.segments)
+            if frame is not None:
+                self._close_at(arrivals.row(at), frames)
+            if step > 1:
+                self.count("lost", (step - 1) * self.codec.segments)
             self._wire, self._sequence = sequence, self._sequence + step
             frame = self._open = OpenFrame(self.codec, readings.payloads, float(readings.times[at]))
         if frame.present[segment]:
@@ -123,18 +124,19 @@ class Assembler:
                 frame.ended = max(frame.ended, float(readings.times[at]))
             return at + 1
         end, newest, late = frame.add(arrivals, at, self._cycle)
-        if self._cycle is None:
+        if late and self._cycle is None:
             self.count("late", late)
         self._newest = max(self._newest, newest)
         if not frame.missing:
-            frames += self._closed_by(arrivals.row(end - 1))
+            self._close_at(arrivals.row(end - 1), frames)
         return end
 
-    def _closed_by(self, row: int) -> list[tuple[int, RawFrame]]:
+    def _close_at(self, row: int, frames: list[tuple[int, RawFrame]]) -> None:
         """Close the open frame at a message of the batch."""
         if self._others:
             self._count_others(row)
-        return [(row, each) for each in self._close()]
+        if closed := self._close():
+            frames.append((row, closed))
 
     def _step(self, segment: int, sequence: int, now: float) -> int:
         """By how many frames a message is ahead of the newest frame; 0: part of it; negative: of an older one."""
@@ -160,30 +162,34 @@ class Assembler:
         """Count the malformed and foreign messages up to a row of the batch."""
         for each in self._others:
             count = int(np.searchsorted(each.places, row, "right"))
-            self.count(each.kind, count - each.counted)
+            if count > each.counted:
+                self.count(each.kind, count - each.counted)
             each.counted = count
 
-    def _close(self) -> tuple[RawFrame, ...]:
+    def _close(self) -> RawFrame | None:
+        """The frame that is open, unless its codec fails."""
         frame, self._open = self._open, None
         if frame is None:
-            return ()
+            return None
         self._closed = frame.present
         if self._cycle is not None:
             self._cycle.learn(frame, frame.began - self._ended)
         self._ended = frame.ended
-        self.count("lost", frame.missing)
+        if frame.missing:
+            self.count("lost", frame.missing)
         payloads = frame.used_payloads()
         try:
             counts, shear = unpacked(self.codec, payloads)
             references = self.codec.references(payloads)
         except Exception:  # of another package's codec: none of ours raises here
             self.count("malformed", self.codec.segments - frame.missing)
-            return ()
+            return None
         flags = self._flags(frame)
-        self.count("incomplete", int(frame.missing > 0 or bool(frame.disputed)))
+        if frame.missing or frame.disputed:
+            self.count("incomplete")
         loss, skew = self._newest_loss(), frame.ended - frame.began
         fields = self._sequence, frame.began, skew, counts, flags, loss, shear, frame.arrived, references
-        return (RawFrame(*fields),)
+        return RawFrame(*fields)
 
     def _newest_loss(self) -> Loss:
         """Losses so far, with those of the bus; a new object only after a new count."""
@@ -207,7 +213,7 @@ class Assembler:
 def unpacked(codec: Codec, payloads: Sequence[bytes | None]) -> tuple[Counts, NDArray[np.float32] | None]:
     """The counts (N,) of one frame and the shear (2, N) of a 3-axis skin; CodecError for a wrong type or shape."""
     counts: Counts = codec.unpack(payloads)
-    if counts.shape != (codec.size,) or counts.dtype not in (np.uint16, np.float32):
+    if counts.shape != (codec.size,) or counts.dtype.char not in "Hf":
         raise CodecError(f"unpack gave {counts.dtype} {counts.shape}, not uint16 or float32 {(codec.size,)}")
     if not isinstance(codec, ShearCodec):
         return counts, None

@@ -28,15 +28,18 @@ class Batch:
     @classmethod
     def of(cls, messages: Iterable[Message]) -> "Batch":
         """A batch of single messages."""
-        messages = list(messages)
-        count = len(messages)
-        data = b"".join([each.data[:MAX_BYTES].ljust(MAX_BYTES, b"\0") for each in messages])
+        times, ids, data, extended, fd = [*zip(*messages, strict=True)] or ((),) * 5
+        lengths = [*map(len, data)]
+        if max(lengths, default=0) > MAX_BYTES:
+            data, lengths = tuple(each[:MAX_BYTES] for each in data), [min(each, 255) for each in lengths]
+        padded = b"".join([each.ljust(MAX_BYTES, b"\0") for each in data])
+        numbers = np.array(ids, np.uint32)
         return cls(
-            np.array([each.time for each in messages], np.float64),
-            np.array([each.id | EXTENDED * each.extended for each in messages], np.uint32),
-            np.array([min(len(each.data), 255) for each in messages], np.uint8),
-            np.frombuffer(data, np.uint8).reshape(count, MAX_BYTES),
-            np.array([each.fd for each in messages], np.bool_),
+            np.array(times, np.float64),
+            numbers | np.uint32(EXTENDED) * np.array(extended, np.bool_) if any(extended) else numbers,
+            np.array(lengths, np.uint8),
+            np.frombuffer(padded, np.uint8).reshape(-1, MAX_BYTES),
+            np.array(fd, np.bool_),
         )
 
     def __len__(self) -> int:
