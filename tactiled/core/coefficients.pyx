@@ -181,11 +181,14 @@ cdef float excess(const float *x, long n, long step, float variance) noexcept no
 
 
 def signed_sums(const float[:, ::1] x):
-    """Give the sum and the sum of squares of what is above 0, and the sum of squares of what is below."""
+    """Give the sum and the sum of squares of what is above 0, the sum of squares of what is below, and the highest.
+
+    NaN where there is no value.
+    """
     cdef long i
-    cdef float total = 0, above = 0, below = 0, positive, negative
+    cdef float total = 0, above = 0, below = 0, positive, negative, highest = -INFINITY
     if x.shape[0] * x.shape[1] == 0:
-        return 0.0, 0.0, 0.0
+        return 0.0, 0.0, 0.0, NAN
     cdef const float *values = &x[0, 0]
     with nogil:
         for i in range(x.shape[0] * x.shape[1]):
@@ -193,4 +196,6 @@ def signed_sums(const float[:, ::1] x):
             total += positive
             above += positive * positive
             below += negative * negative
-    return total, above, below
+        for i in range(x.shape[0] * x.shape[1]):
+            highest = values[i] if values[i] > highest else highest
+    return total, above, below, highest

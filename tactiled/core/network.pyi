@@ -10,7 +10,8 @@ def redraw(
     images: _Array, fixed: _Array, kernels: _Array, scales: _Array, offsets: _Array, draw: _Array, out: _Array
 ) -> None: ...
 def restore(
-    images: _Array,
+    linear: _Array,
+    scale: float,
     fixed: _Array,
     kernels: _Array,
     tuned: _Array,
@@ -19,7 +20,9 @@ def restore(
     across: _Array,
     gain: _Array,
     c: _Array,
-    firmness: _Array,
+    noise: float,
+    firm: tuple[float, float],
     within: tuple[int, int, int, int],
+    images: _Array,
     out: _Array,
 ) -> None: ...

@@ -1,6 +1,7 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, initializedcheck=False, cdivision=True
 """The stages of a small network that redraws an image and holds it to a frame, float32."""
 
+from libc.math cimport exp
 from libc.stdlib cimport free, malloc
 from libc.string cimport memcpy, memset
 
@@ -122,7 +123,8 @@ cdef void crop(const float *whole, long columns, long r, long c, long R, long C,
 
 
 def restore(
-    float[:, :, ::1] images,
+    const float[:, ::1] linear,
+    float scale,
     const float[:, :, :, ::1] fixed,
     const float[:, :, :, :, ::1] kernels,
     const float[:, ::1] tuned,
@@ -131,51 +133,59 @@ def restore(
     const float[:, ::1] across,
     const float[:, ::1] gain,
     const float[:, ::1] c,
-    const float[::1] firmness,
+    float noise,
+    (float, float) firm,
     (long, long, long, long) within,
+    float[:, :, ::1] images,
     float[:, ::1] out,
 ):
-    """Run S stages from a linear image, images[2], to `out` (R, C), which is not negative.
+    """Run S stages from a linear image (R, C) to `out` (R, C), which is not negative; both over `scale`, and so is c.
 
-    Each redraws (`redraw`, by its part of `fixed`, `kernels` and `draw`, and of `tuned` (S, 2 F + 1): scales and
-    offsets) from `images` (3, R, C), which keep what the last one saw: the image before it, held to the frame
-    (`held`, by the `firmness` (S,) of the stage before), the same as it was, and the linear one. What it draws is
+    Each redraws (`redraw`, by its part of `fixed`, `kernels` and `draw`, and of `tuned` (S, 2 F + 1): scales,
+    offsets and firmness t) from three images: the image before it, held to the frame (`held`, by the firmness
+    `noise` exp(firm[0] t + firm[1]) of the stage before), the same as it was, and the linear one. What it draws is
     added to the first, and held to the frame. The first stage begins with the linear image, cut off below zero where
-    it is the first.
+    it is the first. `images` (3, R, C) get what the last one saw.
     All is done `within` (first row, end, first column, end), as if the surface ended there: the rest is zero.
     """
     cdef long S = kernels.shape[0], F = kernels.shape[1], rows = out.shape[0], columns = out.shape[1]
     cdef long K = gain.shape[0], L = gain.shape[1], s, i, row
     cdef long r = within[0], R = within[1] - within[0], q = within[2], C = within[3] - within[2]
     cdef int failed = 0
+    cdef float firmness
     check(out, down, across, gain, c)
     if not (
         S and F and R * (C + 1) >= 4 and images.shape[0] == kernels.shape[2] == 3
-        and images.shape[1] == rows and images.shape[2] == columns
+        and images.shape[1] == linear.shape[0] == rows and images.shape[2] == linear.shape[1] == columns
         and 0 <= r and R > 0 and r + R <= rows and 0 <= q and C > 0 and q + C <= columns
-        and fixed.shape[0] == tuned.shape[0] == draw.shape[0] == firmness.shape[0] == S
+        and fixed.shape[0] == tuned.shape[0] == draw.shape[0] == S
         and fixed.shape[1] == draw.shape[3] == F and fixed.shape[2] == rows and fixed.shape[3] == columns + 1
         and kernels.shape[3] == kernels.shape[4] == draw.shape[1] == draw.shape[2] == 3
         and tuned.shape[1] == 2 * F + 1
     ):
         raise ValueError("restore: shapes do not fit")
     cdef float *first = <float *>malloc(
-        (4 * R * C + F * R * (C + 1) + L * C + max(R, K) * max(C, L) + K * L) * sizeof(float)
+        (4 * R * C + K * L + F * R * (C + 1) + L * C + max(R, K) * max(C, L) + K * L) * sizeof(float)
     )
     if first == NULL:
         raise MemoryError
     cdef float *before = first + R * C
-    cdef float *linear = before + R * C
-    cdef float *z = linear + R * C
-    cdef float *there = z + R * C
+    cdef float *start = before + R * C
+    cdef float *z = start + R * C
+    cdef float *scaled = z + R * C
+    cdef float *there = scaled + K * L
     cdef float *back = there + F * R * (C + 1)
     cdef float *between = back + L * C
     with nogil:
-        crop(&images[2, 0, 0], columns, r, q, R, C, linear)
+        for i in range(rows * columns):
+            (&images[2, 0, 0])[i] = (&linear[0, 0])[i] / scale
+        for i in range(K * L):
+            scaled[i] = (&c[0, 0])[i] / scale
+        crop(&images[2, 0, 0], columns, r, q, R, C, start)
         for i in range(C * L):
             back[i % L * C + i / L] = across[q + i / L, i % L]
         for i in range(R * C):
-            first[i], before[i] = max(linear[i], 0), linear[i]
+            first[i], before[i] = max(start[i], 0), start[i]
         memset(&out[0, 0], 0, rows * columns * sizeof(float))
         memset(&images[0, 0, 0], 0, 2 * rows * columns * sizeof(float))
         for s in range(S):
@@ -192,12 +202,11 @@ def restore(
                 for row in range(R):
                     memcpy(&images[0, r + row, q], first + row * C, C * sizeof(float))
                     memcpy(&images[1, r + row, q], before + row * C, C * sizeof(float))
-            held(
-                R, C, K, L, z, &down[r, 0], &across[q, 0], back, &gain[0, 0], &c[0, 0], firmness[s], between, first
-            )
+            firmness = noise * exp(firm[0] * tuned[s, 2 * F] + firm[1])
+            held(R, C, K, L, z, &down[r, 0], &across[q, 0], back, &gain[0, 0], scaled, firmness, between, first)
         for row in range(R):
             for i in range(C):
-                out[r + row, q + i] = 0 if first[row * C + i] < 0 else first[row * C + i]  # NaN stays
+                out[r + row, q + i] = 0 if first[row * C + i] < 0 else scale * first[row * C + i]  # NaN stays
         free(first)
     if failed:
         raise MemoryError

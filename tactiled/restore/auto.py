@@ -118,7 +118,7 @@ class Auto:
 
     def _negative(self, linear: Image) -> float:
         """Norm of an image's negative part over its norm: no pressure is below zero, so that much is wrong."""
-        _, above, below = coefficients.signed_sums(linear.reshape(len(linear), -1))
+        _, above, below, _ = coefficients.signed_sums(linear.reshape(len(linear), -1))
         return sqrt(below / max(above + below, 1e-30))
 
 

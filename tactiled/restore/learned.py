@@ -84,17 +84,18 @@ class Conditions:
         self._scene = scene
         self.values[5] = log(float(cell_maps(scene)[1].sum()) / scene.size)
 
-    def __call__(self, linear: Image, noise_gain: float, scale: float) -> NDArray[np.float32]:
-        """Give those of the scene's frame, by its linear image, whose largest value is `scale` (kPa)."""
+    def __call__(self, linear: Image, noise_gain: float) -> float:
+        """Take the scene's frame, by its linear image; gives the largest value of that (kPa), or the noise."""
         spectrum = self._scene.spectrum
-        total, squares, _ = coefficients.signed_sums(linear)
+        total, squares, _, highest = coefficients.signed_sums(linear)
+        scale = max(highest, self._scene.noise)
         share = total**2 / (squares * linear.size) if squares else 1.0
         self.values[0] = log(self._scene.noise / scale) / 3 + 1.5
         self.values[1] = log(spectrum.level) / 5 - 1
         self.values[2] = log(spectrum.corner) / 2 + 1
         self.values[3] = log(noise_gain) / 2
         self.values[4] = log(share) / 2 + 1
-        return self.values
+        return scale
 
 
 class Learned:
@@ -115,7 +116,6 @@ class Learned:
         self._gain = np.asarray(scene.modes.gain, np.float32)
         bases = zip(scene.modes.surface, self._gain.shape, strict=True)
         self._down, self._across = (np.ascontiguousarray(V[:, :n], np.float32) for V, n in bases)
-        self._c = np.empty_like(scene.c)
         self.image = np.zeros((rows, columns), np.float32)
         self._scale = 1.0  # kPa
 
@@ -125,12 +125,8 @@ class Learned:
     def __call__(self, linear: Image) -> int:
         """Restore from the linear image; gives the stages run."""
         scene = self._scene
-        self._scale = max(linear.item(linear.argmax()), scene.noise)
-        np.divide(linear, np.float32(self._scale), out=self._images[2])
-        np.divide(scene.c, np.float32(self._scale), out=self._c)
-        self._conditions(linear, self._wiener.noise_gain, self._scale)
-        done = self._run()
-        self.image *= np.float32(self._scale)
+        self._scale = self._conditions(linear, self._wiener.noise_gain)
+        done = self._run(linear)
         scene.keep_force(self.image.reshape(-1))
         return done
 
@@ -139,19 +135,19 @@ class Learned:
         doubts = np.minimum(self._stages.doubts(self._images), MAX_DOUBT)
         return np.asarray(self._scale * np.exp(doubts.astype(float)))
 
-    def _run(self) -> int:
-        """Make the image, over its scale, from the linear one; gives the number of stages, 0 if time is over."""
-        stages, modes = self._stages, (self._down, self._across, self._gain, self._c)
+    def _run(self, linear: Image) -> int:
+        """Make the image from the linear one; gives the number of stages, 0 if time is over."""
+        scene, stages, noise = self._scene, self._stages, self._scene.noise / self._scale
         stages.tune(self._conditions.values)
-        if self._scene.cut():
-            self._images[:2] = np.maximum(self._images[2], 0, out=self.image)
+        if scene.cut():
+            np.maximum(linear, 0, out=self.image)
+            self._images[:] = self.image / np.float32(self._scale)
+            self._images[2] = linear / np.float32(self._scale)
             return 0
-        firmness = np.float32((self._scene.noise / self._scale) ** 2) * np.exp(
-            FIRMNESS[0] * stages.tuned[:, -1] + FIRMNESS[1]
-        )
         network.restore(
-            self._images, stages.fixed, stages.kernels, stages.tuned, stages.draw, *modes, firmness,
-            self._scene.box[:4], self.image,
+            linear, self._scale, stages.fixed, stages.kernels, stages.tuned, stages.draw,
+            self._down, self._across, self._gain, scene.c, noise**2, FIRMNESS, scene.box[:4],
+            self._images, self.image,
         )  # fmt: skip
         return len(stages.tuned)
 

@@ -79,10 +79,10 @@ def test_modes_stand_out_of_their_spectrum_and_of_what_rows_and_columns_share(m,
 
 
 @given(SIDES, SIDES, SEEDS)
-def test_sums_are_of_what_is_above_zero_and_below(m, n, seed):
+def test_sums_are_of_what_is_above_zero_and_below_and_the_highest_beside(m, n, seed):
     x = normal(np.random.default_rng(seed), m, n)
     above, below = np.maximum(x, 0).astype(float), np.minimum(x, 0).astype(float)
-    expected = above.sum(), (above**2).sum(), (below**2).sum()
+    expected = above.sum(), (above**2).sum(), (below**2).sum(), x.max()
     np.testing.assert_allclose(coefficients.signed_sums(x), expected, rtol=1e-5)
 
 

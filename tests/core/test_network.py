@@ -9,6 +9,7 @@ from scipy.ndimage import correlate
 from tactiled.core import network
 
 ROUNDING = 2e-6  # of the sum of all terms' magnitudes
+NOISE, FIRM = 0.5, (1.0, 0.3)  # of a firmness, see restore
 
 
 def images(random, *shape):
@@ -71,10 +72,10 @@ def test_shapes_that_do_not_fit_are_refused():
         wrong = every.copy()
         wrong[n] = np.ascontiguousarray(array[..., :-1])
         with pytest.raises(ValueError, match="do not fit"):
-            network.restore(*wrong, (0, 12, 0, 12), image)
+            restored(wrong, (0, 12, 0, 12), image)
     for within in ((-1, 12, 0, 12), (0, 13, 0, 12), (0, 12, 5, 5), (0, 12, 0, 13)):
         with pytest.raises(ValueError, match="do not fit"):
-            network.restore(*every, within, image)
+            restored(every, within, image)
     known = [images(np.random.default_rng(1), *shape) for shape in ((3,), (3,), (3,), (4, 2), (3, 5), (5,))]
     for n, array in enumerate(known):
         with pytest.raises(ValueError, match="do not fit"):
@@ -88,31 +89,28 @@ def stages(random, filters, rows, columns):
     tuned = np.concatenate([scales, offsets, scales[:, :1]], axis=1)
     bases = (np.linalg.qr(random.standard_normal((n, n)))[0][:, : max(n // 2, 1)] for n in (rows, columns))
     down, across = (np.ascontiguousarray(each, np.float32) for each in bases)
-    shape, firmness = (down.shape[1], across.shape[1]), np.array([0.5, 2.0], np.float32)
-    return [
-        layers[0],
-        fixed,
-        kernels,
-        tuned,
-        draw,
-        down,
-        across,
-        abs(images(random, *shape)),
-        images(random, *shape),
-        firmness,
-    ]
+    shape, linear = (down.shape[1], across.shape[1]), layers[0][2].copy()
+    gain, c = abs(images(random, *shape)), images(random, *shape)
+    return [linear, fixed, kernels, tuned, draw, down, across, gain, c, layers[0]]
+
+
+def restored(every, within, out, scale=1.0):
+    """Restore by what `stages` gives."""
+    linear, *rest, c, seen = every
+    network.restore(linear, scale, *rest, c, NOISE, FIRM, within, seen, out)
 
 
 @given(SIDES, SIDES, st.integers(0, 9), st.data())
 def test_stages_redraw_in_turn_and_hold_to_the_frame_what_is_within_a_part(rows, columns, seed, data):
     rows, filters = max(rows, 4), 5
-    layers, fixed, kernels, tuned, draw, down, across, gain, c, firmness = stages(
-        np.random.default_rng(seed), filters, rows, columns
-    )
+    every = stages(np.random.default_rng(seed), filters, rows, columns)
+    linear, fixed, kernels, tuned, draw, down, across, gain, c, layers = every
+    firmness = NOISE * np.exp(FIRM[0] * tuned[:, -1] + FIRM[1])
     first, left = data.draw(st.integers(0, rows - 4)), data.draw(st.integers(0, columns - 1))
     end, right = data.draw(st.integers(first + 4, rows)), data.draw(st.integers(left + 1, columns))
     part = slice(first, end), slice(left, right)
-    linear, U, V = layers[2][part], down[part[0]].astype(float), across[part[1]].astype(float)
+    U, V, scale = down[part[0]].astype(float), across[part[1]].astype(float), 4.0
+    whole, linear = linear, linear[part] / scale
     held, image = np.maximum(linear, 0), linear
     for n in range(2):
         seen = np.stack([held, image, linear]).astype(np.float32)
@@ -121,14 +119,13 @@ def test_stages_redraw_in_turn_and_hold_to_the_frame_what_is_within_a_part(rows,
         there = np.ascontiguousarray(np.pad(there, ((0, 0), (0, 0), (0, 1))))
         network.redraw(seen, there, kernels[n], tuned[n, :filters], tuned[n, filters:-1], draw[n], drawn)
         image = seen[0] + drawn
-        held = image + U @ (gain * (c - gain * (U.T @ image @ V)) / (gain**2 + firmness[n])) @ V.T
+        held = image + U @ (gain * (c / scale - gain * (U.T @ image @ V)) / (gain**2 + firmness[n])) @ V.T
     out = np.empty((rows, columns), np.float32)
-    network.restore(
-        layers, fixed, kernels, tuned, draw, down, across, gain, c, firmness, (first, end, left, right), out
-    )
+    restored(every, (first, end, left, right), out, scale)
     rounding = 1e-5 * abs(seen).max()
     np.testing.assert_allclose(layers[:, *part], seen, atol=rounding)
-    np.testing.assert_allclose(out[part], np.maximum(held, 0), atol=100 * rounding)
+    np.testing.assert_allclose(layers[2], whole / scale, rtol=1e-6)
+    np.testing.assert_allclose(out[part] / scale, np.maximum(held, 0), atol=100 * rounding)
     out[part] = layers[:2, *part] = 0
     assert not out.any()
     assert not layers[:2].any()

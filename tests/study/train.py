@@ -156,9 +156,8 @@ class Skin:
         """Give the linear image and coefficients of a frame, both over a scale, the conditions, and the scale."""
         self.scene.look(np.ascontiguousarray(frame, np.float32))
         linear = self._wiener()
-        scale = max(float(linear.max()), 1.0)
-        conditions = self._conditions(linear, self._wiener.noise_gain, scale).copy()
-        return linear / scale, self.scene.c / scale, conditions, scale
+        scale = self._conditions(linear, self._wiener.noise_gain)
+        return linear / scale, self.scene.c / scale, self._conditions.values.copy(), scale
 
 
 def faulty(frame, random):
