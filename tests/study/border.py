@@ -21,14 +21,13 @@ from tactiled.simulate.array import Surface
 from tactiled.study.skin import nrmse
 from tactiled.units import FORCE_SCALES, PRESSURE
 from tests.study.held_out_scenes import FINER
-from tests.study.judge import WORSE
+from tests.study.judge import PRESSED, WORSE
 
 Floats = NDArray[np.float64]
 APERTURE, OUTSIDE = 0.7, 5  # pitches: of a taxel; that pressure may lie beyond the outermost
 THICKNESSES = (0.55, 1.1, 2.15, 2.8)  # pitches; the network saw none of these
 NOISES = (0.002, 0.01, 0.05)  # of the frame's peak
 FAINTEST, MIN_INSIDE = 0.03, 0.2  # of a press' peak: what a frame and the pressure on the array must reach
-PRESSED = 0.02  # of the peak: cells with more count for the deviation
 WHERE = ("anywhere", "border", "cut off")
 MATERIALS = ((0.6, 0.48), (98.0, 0.3))  # rubber, and the film of the paper
 HEADINGS = (

@@ -7,16 +7,18 @@ from pathlib import Path
 from statistics import fmean
 from typing import Annotated, Literal, NamedTuple
 
+import numpy as np
 import typer
 from rich.progress import track
 
 from tactiled.cli.bench import print_table
-from tactiled.restore.methods import make
+from tactiled.restore.methods import METHODS, make
 from tactiled.study.skin import nrmse
 from tests.study.presses import FAMILIES, Press, presses
 from tests.study.tuned_peers import PEERS, peer_errors
 
 THICKNESSES, NOISES = (0.5, 1.0, 2.0, 3.0), (0.002, 0.01, 0.05)
+PRESSED = 0.02  # of the peak: cells with more count for the deviation
 WORSE = 1.02  # times the raw image's error: more is a failure
 RATIOS = 1.1, 1.5  # of a method's error to the best peer's in a cell: what is counted
 HEADINGS = ("", "mean", "ratio", *(f"> {each}" for each in RATIOS), "worst", "where", "> 2 % over raw")
@@ -105,6 +107,17 @@ def show(results: list[Result], methods: Iterable[str]) -> None:
     print(f"Least of the four, selected for every press: {best:.4f}")
 
 
+def within(cases: Iterable[Press], name: str) -> dict[str, float]:
+    """Share of the pressed cells, of each kind of scene, whose truth is within two deviations of the image."""
+    shares: dict[str, list[float]] = {}
+    for press in cases:
+        restorer = make(name, press.blur, press.sigma)
+        image = restorer(press.frame).image
+        near = np.abs(image - press.truth) <= 2 * restorer.deviation()
+        shares.setdefault(press.scene, []).append(near[press.truth > PRESSED * press.truth.max()].mean())
+    return {scene: fmean(each) for scene, each in shares.items()}
+
+
 def judge(
     family: Annotated[Literal["first", "second"], typer.Option(help="Of scenes; no constant knows 2.")] = "second",
     size: Annotated[int, typer.Option(help="Taxels along each side.")] = 32,
@@ -128,3 +141,7 @@ def judge(
     named = {name: own(name) for name in methods.split(",")}
     scored = partial(score, track(cases, "Presses", total=total, transient=True), named, cache)
     show(scored(), named)
+    if (first := next(iter(named))) in METHODS:
+        shares = within(presses(size, THICKNESSES, NOISES, repeats, seed, kinds), first)
+        by_kind = ", ".join(f"{scene} {share:.0%}" for scene, share in shares.items())
+        print(f"Pressed cells within two deviations of {first}: {fmean(shares.values()):.0%}: {by_kind}")

@@ -2,9 +2,8 @@
 
 Needs JAX (pip install 'tactiled[train]'), as nothing else here does. It is trained on no array and no scene of
 `tests.study border` or `judge`, and on no cover of `border`; `judge` has three that it saw, of 1, 2 and 3 pitches.
-The weights in the package took 120 minutes on one core in four runs, each from those of the run before (`--begin`),
-the first from those of the release before. The last two had RATE 1e-3 and 8e-4, BATCH 40, and drew large grids of a
-cell a pitch 2.2 and 4 times as often.
+The weights in the package took 120 minutes on one core in four runs, each from weights of the last (`--begin`).
+The last two had RATE 1e-3 and 8e-4, BATCH 40, and drew large grids of a cell a pitch 2.2 and 4 times as often.
 """
 
 import time
