@@ -27,7 +27,19 @@ from zipfile import BadZipFile
 
 from tactiled.client import results
 from tactiled.client.results import Answer, Contact, Contacts, Event, Recording, Region, Window
-from tactiled.client.stream import ANSWER_S, Cells, Image, Measuring, Service, Stream, aread, describe, read
+from tactiled.client.stream import (
+    ANSWER_S,
+    Cells,
+    Image,
+    ImageCells,
+    Measuring,
+    Service,
+    Stream,
+    aread,
+    describe,
+    parse_cells,
+    read,
+)
 from tactiled.errors import ConfigError, LoadedError, TactileError
 from tactiled.files import whole_file
 from tactiled.wire import Kind
@@ -131,16 +143,18 @@ class Client:
         rate_hz: float = 0.0,
         patience_s: float | None = None,
         shear: bool | str | Sequence[str] = False,
+        image: ImageCells = "raster",
     ) -> Generator[Image, None, None]:
         """The newest images of a sensor, or of several, as they come, for ever; reconnects by itself.
 
         Each is the newest there is when the loop asks for it: a loop slower than the sensor misses images and gets
         none that is old. At most `rate_hz` a second (0: every frame) of each; with `shear`, of all sensors or of
-        those named, whose skin must sense it. TactileError if the loop waits for an image for `patience_s` (None:
-        for ever), or if the service refuses; after one stream too many, of this client (4429) or of all (4503), it
-        waits for a place. The log has once what it waits for.
+        those named, whose skin must sense it. With `image="taxels"` a restored image has one value a taxel, the
+        mean of its cells. TactileError if the loop waits for an image for `patience_s` (None: for ever), or if the
+        service refuses; after one stream too many, of this client (4429) or of all (4503), it waits for a place.
+        The log has once what it waits for.
         """
-        images = read(Stream(self._service, sensor, rate_hz, patience_s, shear), self._measuring())
+        images = read(Stream(self._service, sensor, rate_hz, patience_s, shear, image), self._measuring(image))
         _STREAMS.add(images)
         return images
 
@@ -150,11 +164,12 @@ class Client:
         rate_hz: float = 0.0,
         patience_s: float | None = None,
         shear: bool | str | Sequence[str] = False,
+        image: ImageCells = "raster",
     ) -> AsyncGenerator[Image, None]:
         """The same as `stream`, for asyncio."""
-        return aread(Stream(self._service, sensor, rate_hz, patience_s, shear), self._measuring())
+        return aread(Stream(self._service, sensor, rate_hz, patience_s, shear, image), self._measuring(image))
 
-    def _measuring(self) -> Measuring:
+    def _measuring(self, cells: ImageCells) -> Measuring:
         """Gives an image its cells and total force; the first of a shape waits for the sensor's geometry."""
         geometries: dict[object, Any] = {}
 
@@ -169,7 +184,7 @@ class Client:
                     return image
                 geometries[image.sensor, image.restored.shape] = geometry
             geometry = geometries[image.sensor, image.restored.shape]
-            return self._read(lambda: results.measured(image, geometry))
+            return self._read(lambda: results.measured(image, geometry, cells))
 
         return Measuring(known, measured)
 
@@ -177,18 +192,21 @@ class Client:
         """Health, counts and times, in Prometheus's text format."""
         return self._answer("GET", "/metrics")[0].decode(errors="replace")
 
-    def snapshot(self, sensor: str, patience_s: float = ANSWER_S, shear: bool = False) -> Image:
+    def snapshot(
+        self, sensor: str, patience_s: float = ANSWER_S, shear: bool = False, image: ImageCells = "raster"
+    ) -> Image:
         """The newest image, raw and restored, with its total force; `status` has the sensor's state and age.
 
         Before the first frame it waits for one, for `patience_s`, then TactileError.
         """
-        with closing(self.stream(sensor, 0.0, patience_s, shear)) as images:
+        with closing(self.stream(sensor, 0.0, patience_s, shear, image)) as images:
             return next(images)
 
-    def window(self, sensor: str, seconds: float, kind: Kind = "restored") -> Window:
+    def window(self, sensor: str, seconds: float, kind: Kind = "restored", image: ImageCells = "raster") -> Window:
         """The images of the last `seconds` before the newest one, as many as the service still has."""
         _check_seconds("seconds", seconds, MAX_SECONDS)
         query = {"kind": kind, "last": f"{seconds:.6f}s", "limit": str(MAX_ITEMS), "format": "npz"}
+        query |= {"image": image} if parse_cells(image) == "taxels" else {}
         path, pages = f"{ROOT}/sensors/{_quoted(sensor)}/frames", list[Answer]()
         while not pages or query["before"]:
             pages.append(self._answer("GET", f"{path}?{urlencode(query)}"))

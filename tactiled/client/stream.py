@@ -9,7 +9,7 @@ import time
 from collections.abc import AsyncGenerator, Callable, Generator, Iterable, Sequence
 from dataclasses import dataclass
 from numbers import Real
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 from urllib.error import URLError
 from urllib.parse import urlencode
 
@@ -37,6 +37,7 @@ LOG_AFTER_S = 1.0  # without a requested image, the log has the state of its sen
 MAX_QUEUE = 1024  # messages: a loop that pauses gets one status a second of each sensor, and no image
 CONNECTION_ERRORS = OSError, WebSocketException  # TimeoutError is an OSError
 TOO_MANY = 4429  # streams of this client: a place may become free
+ImageCells = Literal["raster", "taxels"]  # of a restored image: those of its raster, or one value a taxel
 REFUSED = set(range(4400, 4500)) - {TOO_MANY}  # close codes that another attempt meets again
 
 
@@ -66,7 +67,7 @@ class Image:
     noise: float = math.nan  # as noise_kpa, in `unit`
     unit: Unit = PRESSURE  # of pressures: counts where the sensor is uncalibrated
     force: float = math.nan  # total of `restored`, N or counts mm2; NaN where too little is known
-    cells: Cells | None = None  # of `restored`; None if the service did not say
+    cells: Cells | None = None  # of `restored`; None if the service did not say, or of one value a taxel
 
     def _repr_html_(self) -> str:
         """Show it in a notebook."""
@@ -110,6 +111,13 @@ def _parse_rate(value: object) -> float:
     if isinstance(value, Real) and 0 <= float(value) <= MAX_RATE_HZ:
         return float(value)
     raise ConfigError(f"rate_hz = {value!r}: give up to {MAX_RATE_HZ:g}, or 0 for every frame")
+
+
+def parse_cells(value: object) -> ImageCells:
+    """What the values of a restored image are; ConfigError where an argument is neither."""
+    if value in ("raster", "taxels"):
+        return "raster" if value == "raster" else "taxels"
+    raise ConfigError(f"image = {value!r}: give 'raster' or 'taxels'")
 
 
 class Inbox:
@@ -187,6 +195,7 @@ class Stream:
         rate_hz: float,
         patience_s: float | None,
         shear: bool | str | Sequence[str],
+        image: ImageCells = "raster",
     ) -> None:
         names = _parse_names("sensor", sensor)
         sheared = [] if shear is False else names if shear is True else _parse_names("shear", shear)
@@ -197,6 +206,7 @@ class Stream:
         }
         query = {"sensors": ",".join(names), "rate_hz": _parse_rate(rate_hz), "flow": "credit"}
         query |= {"shear": ",".join(sheared)} if sheared else {}
+        query |= {"image": image} if parse_cells(image) == "taxels" else {}
         self.address = f"ws{service.url.removeprefix('http')}/api/v1/stream?{urlencode(query)}"
         self._options: dict[str, Any] = {"additional_headers": service.headers, "compression": None}
         self._options |= {"max_queue": MAX_QUEUE, "close_timeout": CLOSE_S, "logger": WEBSOCKETS_LOG}

@@ -4,6 +4,7 @@ import asyncio
 import inspect
 import io
 import re
+import time
 from base64 import b64decode
 from dataclasses import replace
 
@@ -24,10 +25,11 @@ from tactiled.web.server import running
 from tests.client.test_client import answering
 from tests.client.test_stream import GUIDE
 from tests.conftest import pressed, run_apart, until
-from tests.skin import X, Y, rigged
+from tests.skin import PALM, X, Y, rigged
 
 LIMIT = {"quantity": "force", "above": 5.0, "below": 4.0}
 HEEL = {"shape": "rectangle", "points_mm": [[1.5, 1.5], [5.5, 5.5]], "threshold": LIMIT}
+FINE = PALM.replace('method = "raw"', 'method = "wiener"\nrefine = 2')
 
 
 @pytest.fixture
@@ -95,6 +97,20 @@ def test_shear_of_a_skin(request):
         np.testing.assert_array_equal(window.values, [frame.shear])
         assert window.unit == "counts"
         assert "peak 1388 counts" in window._repr_html_()
+
+
+def test_a_restored_image_has_one_value_a_taxel_on_request(request):
+    with rigged(request.node.name, FINE) as rig, running(rig.service) as url:
+        sensor = rig.service.sensor("palm")
+        for message in sensor.codec.encode(np.arange(100, 260, 10, "u2"), 0, time.time()):
+            rig.bus.send(message)
+        cells, taxels = (connect(url).snapshot("palm", image=each) for each in ("raster", "taxels"))
+        window = connect(url).window("palm", 60.0, image="taxels")
+    assert (cells.restored.shape, taxels.restored.shape, taxels.cells) == ((8, 8), (4, 4), None)
+    means = cells.restored.reshape(4, 2, 4, 2).mean(axis=(1, 3))
+    np.testing.assert_allclose(taxels.restored, means, atol=1e-4)
+    np.testing.assert_array_equal(window.values, [taxels.restored])
+    assert taxels.force == pytest.approx(cells.force, rel=1e-4)
 
 
 def test_contacts_are_those_of_the_service(images, rig, url):  # noqa: ARG001
@@ -181,6 +197,7 @@ WRONG = {
     "seconds = '2s'": lambda client: client.window("palm", "2s"),
     "wait_s = nan: give 0 to 30 s": lambda client: client.events(wait_s=float("nan")),
     "sensor = None": lambda client: client.snapshot(None),
+    "image = 'cells': give 'raster' or 'taxels'": lambda client: client.window("palm", 1, image="cells"),
     "recording = ''": lambda client: client.download("", "a.log"),
 }
 
