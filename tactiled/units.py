@@ -1,7 +1,7 @@
 """The unit of each quantity; that of pressure and force follows the calibration of their sensor.
 
-The viewer's are in `web/static/units.js`; names of keys and fields end in them, too (`force_n`, `noise_kpa`),
-and hold nothing in counts.
+The viewer's are in `web/static/shell/units.js`; names of keys and fields end in them, too (`force_n`,
+`noise_kpa`), and hold nothing in counts.
 """
 
 from typing import Literal

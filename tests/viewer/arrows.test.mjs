@@ -1,8 +1,8 @@
 import assert from "node:assert/strict";
 import test from "node:test";
 
-import { Plane } from "../../tactiled/web/static/geometry.js";
-import { ShearArrows } from "../../tactiled/web/static/shear_arrows.js";
+import { Plane } from "../../tactiled/web/static/maps/geometry.js";
+import { ShearArrows } from "../../tactiled/web/static/maps/shear_arrows.js";
 
 globalThis.window = { devicePixelRatio: 2 };
 

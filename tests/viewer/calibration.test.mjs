@@ -1,9 +1,9 @@
 import assert from "node:assert/strict";
 import test from "node:test";
 
-import { calibration, calibrationAction } from "../../tactiled/web/static/api.js";
-import { chartOf } from "../../tactiled/web/static/calibration_result.js";
-import { coverNotes, coverRows, gainRows, tareText, taxelText, verdict, zoneText } from "../../tactiled/web/static/calibration_text.js";
+import { calibration, calibrationAction } from "../../tactiled/web/static/wire/api.js";
+import { chartOf } from "../../tactiled/web/static/calibration/calibration_result.js";
+import { coverNotes, coverRows, gainRows, tareText, taxelText, verdict, zoneText } from "../../tactiled/web/static/calibration/calibration_text.js";
 
 const cover = {
   thickness_mm: 1.183, interval_mm: [1.151, 1.214], before_mm: 1.5, presses: 20, residual: 1.07, reason: "", notes: ["a note"],

@@ -1,13 +1,13 @@
 import assert from "node:assert/strict";
 import test from "node:test";
 
-import { line } from "../../tactiled/web/static/chart.js";
-import { highestAlong, sample } from "../../tactiled/web/static/cross_section.js";
-import { ContactOutline } from "../../tactiled/web/static/contact_outline.js";
-import { Plane } from "../../tactiled/web/static/geometry.js";
-import { measure, measures } from "../../tactiled/web/static/measures.js";
-import { placeNames } from "../../tactiled/web/static/region_layer.js";
-import { cellsIn, measureRegion } from "../../tactiled/web/static/region_measure.js";
+import { line } from "../../tactiled/web/static/charts/chart.js";
+import { highestAlong, sample } from "../../tactiled/web/static/charts/cross_section.js";
+import { ContactOutline } from "../../tactiled/web/static/maps/contact_outline.js";
+import { Plane } from "../../tactiled/web/static/maps/geometry.js";
+import { measure, measures } from "../../tactiled/web/static/maps/measures.js";
+import { placeNames } from "../../tactiled/web/static/maps/region_layer.js";
+import { cellsIn, measureRegion } from "../../tactiled/web/static/maps/region_measure.js";
 
 /** A grid at a pitch of 2 mm, restored at the same cells. */
 function grid(rows, columns) {

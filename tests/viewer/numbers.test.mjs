@@ -1,10 +1,10 @@
 import assert from "node:assert/strict";
 import test from "node:test";
 
-import { inkOn } from "../../tactiled/web/static/cell_values.js";
-import { DisplayRange } from "../../tactiled/web/static/display_range.js";
-import { byteText, duration, fixed, newtons, number, whole } from "../../tactiled/web/static/format.js";
-import { decadeTicks, endsAndTicks, tickText, ticks } from "../../tactiled/web/static/ticks.js";
+import { inkOn } from "../../tactiled/web/static/maps/cell_values.js";
+import { DisplayRange } from "../../tactiled/web/static/maps/display_range.js";
+import { byteText, duration, fixed, newtons, number, whole } from "../../tactiled/web/static/shell/format.js";
+import { decadeTicks, endsAndTicks, tickText, ticks } from "../../tactiled/web/static/charts/ticks.js";
 
 const check = (convert, table) => {
   for (const [value, text] of table) assert.equal(convert(value), text, `${value}`);

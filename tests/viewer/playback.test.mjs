@@ -1,12 +1,12 @@
 import assert from "node:assert/strict";
 import test from "node:test";
 
-import { positionText } from "../../tactiled/web/static/format.js";
-import { Plane } from "../../tactiled/web/static/geometry.js";
-import { PlaybackClock, rateOf, recordingName, splitFrames, stepOf } from "../../tactiled/web/static/playback_clock.js";
-import { PlaybackSession } from "../../tactiled/web/static/playback_session.js";
-import { areasOf, curvesOf } from "../../tactiled/web/static/recorded_series.js";
-import { messageBytes } from "../../tactiled/web/static/wire.js";
+import { positionText } from "../../tactiled/web/static/shell/format.js";
+import { Plane } from "../../tactiled/web/static/maps/geometry.js";
+import { PlaybackClock, rateOf, recordingName, splitFrames, stepOf } from "../../tactiled/web/static/playback/playback_clock.js";
+import { PlaybackSession } from "../../tactiled/web/static/playback/playback_session.js";
+import { areasOf, curvesOf } from "../../tactiled/web/static/playback/recorded_series.js";
+import { messageBytes } from "../../tactiled/web/static/wire/wire.js";
 
 test("a position goes on at the chosen speed while it plays, from where it was", () => {
   const clock = new PlaybackClock();

@@ -1,14 +1,14 @@
 import assert from "node:assert/strict";
 import test from "node:test";
 
-import { events } from "../../tactiled/web/static/api.js";
-import { addEvent } from "../../tactiled/web/static/event_rows.js";
-import { FrameRate } from "../../tactiled/web/static/frame_rate.js";
-import { Freshness } from "../../tactiled/web/static/freshness.js";
-import { healthOf } from "../../tactiled/web/static/health.js";
-import { Timeline, timeOffset } from "../../tactiled/web/static/timeline.js";
-import { View } from "../../tactiled/web/static/view.js";
-import { Warnings } from "../../tactiled/web/static/warnings.js";
+import { events } from "../../tactiled/web/static/wire/api.js";
+import { addEvent } from "../../tactiled/web/static/shell/event_rows.js";
+import { FrameRate } from "../../tactiled/web/static/shell/frame_rate.js";
+import { Freshness } from "../../tactiled/web/static/shell/freshness.js";
+import { healthOf } from "../../tactiled/web/static/shell/health.js";
+import { Timeline, timeOffset } from "../../tactiled/web/static/shell/timeline.js";
+import { View } from "../../tactiled/web/static/shell/view.js";
+import { Warnings } from "../../tactiled/web/static/shell/warnings.js";
 
 /** Which of these images are held back: each took `way` ms,
   then the page stood `still` ms with `count` not painted. */

@@ -1,7 +1,7 @@
 import assert from "node:assert/strict";
 import test from "node:test";
 
-import { Columns, Projection } from "../../tactiled/web/static/projection.js";
+import { Columns, Projection } from "../../tactiled/web/static/maps/projection.js";
 
 const [ROWS, COLUMNS, SIDE] = [3, 4, 2];
 const [WIDTH, HEIGHT] = [300, 220];

@@ -1,16 +1,16 @@
 import assert from "node:assert/strict";
 import test from "node:test";
 
-import { gappedLine } from "../../tactiled/web/static/chart.js";
-import { AxisWindow, TimeWindow } from "../../tactiled/web/static/chart_window.js";
-import { ContactSeries } from "../../tactiled/web/static/contact_series.js";
-import { seriesCsv } from "../../tactiled/web/static/export_csv.js";
-import { ForceTrace } from "../../tactiled/web/static/frame_history.js";
-import { Plane, cellAround } from "../../tactiled/web/static/geometry.js";
-import { HeldImage, mean } from "../../tactiled/web/static/held_image.js";
-import { measures } from "../../tactiled/web/static/measures.js";
-import { reportHtml } from "../../tactiled/web/static/report.js";
-import { backAt } from "../../tactiled/web/static/trend_chart.js";
+import { gappedLine } from "../../tactiled/web/static/charts/chart.js";
+import { AxisWindow, TimeWindow } from "../../tactiled/web/static/charts/chart_window.js";
+import { ContactSeries } from "../../tactiled/web/static/charts/contact_series.js";
+import { seriesCsv } from "../../tactiled/web/static/export/export_csv.js";
+import { ForceTrace } from "../../tactiled/web/static/wire/frame_history.js";
+import { Plane, cellAround } from "../../tactiled/web/static/maps/geometry.js";
+import { HeldImage, mean } from "../../tactiled/web/static/maps/held_image.js";
+import { measures } from "../../tactiled/web/static/maps/measures.js";
+import { reportHtml } from "../../tactiled/web/static/export/report.js";
+import { backAt } from "../../tactiled/web/static/charts/trend_chart.js";
 
 /** A message with these contacts; the force of each is 0.01 N times its id. */
 const message = (timestamp, ids, unit = "kPa") => ({

@@ -1,12 +1,12 @@
 import assert from "node:assert/strict";
 import test, { beforeEach } from "node:test";
 
-import { csvText } from "../../tactiled/web/static/export_csv.js";
-import { Plane } from "../../tactiled/web/static/geometry.js";
-import { npy } from "../../tactiled/web/static/npy.js";
-import { provenance } from "../../tactiled/web/static/provenance.js";
-import { Session } from "../../tactiled/web/static/session.js";
-import { HEADER_BYTES, RAW, RESTORED, SHEAR, packet, parse } from "../../tactiled/web/static/wire.js";
+import { csvText } from "../../tactiled/web/static/export/export_csv.js";
+import { Plane } from "../../tactiled/web/static/maps/geometry.js";
+import { npy } from "../../tactiled/web/static/export/npy.js";
+import { provenance } from "../../tactiled/web/static/export/provenance.js";
+import { Session } from "../../tactiled/web/static/wire/session.js";
+import { HEADER_BYTES, RAW, RESTORED, SHEAR, packet, parse } from "../../tactiled/web/static/wire/wire.js";
 
 /** A message as the service packs it; `over` replaces parts of the header. */
 function message(kind, sequence, { rows = 1, columns = 2, values = [1, NaN], flags = [], over = {} } = {}) {

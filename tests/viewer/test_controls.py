@@ -148,7 +148,7 @@ def test_the_theme_is_the_systems_until_another_is_chosen_and_forced_colors_diff
         keys, background = page.evaluate(KEY_COLORS), page.evaluate(BACKGROUND)
         assert len(set(keys)) == 2  # the band's is the restored line's, paler
         assert not [each for each in keys if each.startswith(background) and each.endswith("none")]
-        colors = page.evaluate("async () => (await import('/static/dom.js')).themeColors()")
+        colors = page.evaluate("async () => (await import('/static/shell/dom.js')).themeColors()")
         assert len({colors["raw"], colors["restored"], background}) == 3
         page.keep(lambda: rig.show(block), "document.body.dataset.level === 'live'")
         assert page.violations() == []

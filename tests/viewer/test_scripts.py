@@ -15,7 +15,7 @@ FOLDER = Path(__file__).parent
 STATIC = FOLDER.parents[1] / "tactiled/web/static"
 TSC = Path(sys.prefix) / "lib/tsc/node_modules/.bin/tsc"
 DECODE = f"""
-import {{ METHODS, packet, parse }} from "{STATIC}/wire.js";
+import {{ METHODS, packet, parse }} from "{STATIC}/wire/wire.js";
 const messages = JSON.parse(process.argv[1]).map(hex => Uint8Array.from(Buffer.from(hex, "hex")));
 const fields = ({{ kind, rows, columns, sequence, timestamp, sent, noise, noiseGain, resolutionMm, microseconds,
   iterations, method, values, flags }}) => [kind, rows, columns, sequence, timestamp, sent, noise, noiseGain,
@@ -29,12 +29,12 @@ def test_types_agree_and_a_wrong_one_is_found(tmp_path):
     shutil.copytree(STATIC, tmp_path, dirs_exist_ok=True)
     settings = (FOLDER / "tsconfig.json").read_text()
     (tmp_path / "tsconfig.json").write_text(settings.replace("../../tactiled/web/static/", f"{tmp_path}/"))
-    script = (tmp_path / "display_range.js").read_text()
-    (tmp_path / "wrong.js").write_text(script.replace("this.auto = true;", 'this.auto = "yes";', 1))
+    script = (tmp_path / "maps/display_range.js").read_text()
+    (tmp_path / "maps/wrong.js").write_text(script.replace("this.auto = true;", 'this.auto = "yes";', 1))
     done = subprocess.run([TSC, "-p", tmp_path], capture_output=True, text=True, cwd=tmp_path)
     found = [line for line in done.stdout.splitlines() if not line.startswith(" ")]
     assert found
-    assert all(line.startswith("wrong.js(") for line in found), done.stdout
+    assert all(line.startswith("maps/wrong.js(") for line in found), done.stdout
 
 
 def test_logic():

@@ -1,28 +1,28 @@
 /** The page: which sensors there are, which is shown, and what the service offers beside them. @module */
 
-import * as api from "./api.js";
-import { CalibrationPage } from "./calibration_page.js";
-import { CONTACTS_KEY, controls } from "./controls.js";
-import { byId } from "./dom.js";
-import { EventLog } from "./event_log.js";
-import { notice, messageOf } from "./notice.js";
-import { PageText } from "./page_text.js";
-import { Panels } from "./panels.js";
-import { PlaybackPage } from "./playback_page.js";
-import { PlaybackSession } from "./playback_session.js";
-import { methodTitle } from "./readings.js";
-import { Recorder } from "./recorder.js";
-import { Regions } from "./regions.js";
-import { SeriesPanel } from "./series_panel.js";
-import { loadSetting, saveSetting } from "./storage.js";
-import { ALL, Tabs } from "./tabs.js";
-import { canUndo } from "./tare.js";
-import { theme } from "./theme.js";
-import { Viewer } from "./viewer.js";
-import { Wall } from "./wall.js";
+import * as api from "./wire/api.js";
+import { CalibrationPage } from "./calibration/calibration_page.js";
+import { CONTACTS_KEY, controls } from "./shell/controls.js";
+import { byId } from "./shell/dom.js";
+import { EventLog } from "./shell/event_log.js";
+import { notice, messageOf } from "./shell/notice.js";
+import { PageText } from "./shell/page_text.js";
+import { Panels } from "./shell/panels.js";
+import { PlaybackPage } from "./playback/playback_page.js";
+import { PlaybackSession } from "./playback/playback_session.js";
+import { methodTitle } from "./shell/readings.js";
+import { Recorder } from "./playback/recorder.js";
+import { Regions } from "./maps/regions.js";
+import { SeriesPanel } from "./charts/series_panel.js";
+import { loadSetting, saveSetting } from "./shell/storage.js";
+import { ALL, Tabs } from "./shell/tabs.js";
+import { canUndo } from "./calibration/tare.js";
+import { theme } from "./shell/theme.js";
+import { Viewer } from "./shell/viewer.js";
+import { Wall } from "./shell/wall.js";
 
-/** @import { Sensor } from "./api.js" */
-/** @import { Status } from "./sensor_stream.js" */
+/** @import { Sensor } from "./wire/api.js" */
+/** @import { Status } from "./wire/sensor_stream.js" */
 
 const READ_MS = 200; // between two updates of the numbers
 const POLL_MS = 2000; // between two looks at the list of sensors

@@ -1,0 +1,80 @@
+/** What is seen of one image as a page of its own: maps, values, contacts, regions and charts. @module */
+
+import { fixed, number } from "../shell/format.js";
+import { measureRegion } from "../maps/region_measure.js";
+import { FORCE_UNITS, UNITS, forceNumber } from "../shell/units.js";
+
+/** @import { Frame, ForceTrace } from "../wire/frame_history.js" */
+/** @import { Plane } from "../maps/geometry.js" */
+/** @import { RegionMeasures } from "../maps/region_measure.js" */
+/** @import { Contact } from "../wire/sensor_stream.js" */
+
+/**
+ * @typedef {object} Reported
+ * @property {string} title
+ * @property {Frame} frame
+ * @property {Plane} plane
+ * @property {[string, string][]} origin name and value of what is said of the frame
+ * @property {[string, string][]} pictures title and address of each; the maps first
+ * @property {Contact[]} contacts
+ * @property {[string, RegionMeasures|null][]} regions by name
+ * @property {ForceTrace|null} trace of the force; null where it has none
+ */
+
+const STYLE = `body { max-width: 1100px; margin: 24px auto; padding: 0 16px; color: #17202a; background: #fff; font: 15px/1.45 system-ui, sans-serif; }
+img { max-width: 100%; } figure { margin: 18px 0; } table { border-collapse: collapse; margin: 10px 0 18px; }
+th, td { padding: 3px 14px 3px 0; text-align: right; font-variant-numeric: tabular-nums; } th:first-child, dt { text-align: left; color: #52606d; font-weight: 400; }
+dl { display: grid; grid-template-columns: max-content 1fr; gap: 2px 16px; } dd { margin: 0; }`;
+
+/** @param {string} text @returns {string} for HTML */
+const escaped = (text) => text.replace(/[&<>"]/g, (each) => `&#${each.charCodeAt(0)};`);
+
+/** @param {string[][]} rows the first is the head @returns {string} */
+const table = ([head, ...rows]) => `<table><thead><tr>${head.map((each) => `<th scope="col">${escaped(each)}</th>`).join("")}</tr></thead><tbody>${rows
+  .map(([first, ...rest]) => `<tr><th scope="row">${escaped(first)}</th>${rest.map((each) => `<td>${escaped(each)}</td>`).join("")}</tr>`).join("")}</tbody></table>`;
+
+/** @param {Reported} reported @returns {string} a page of HTML that needs no other file */
+export function reportHtml({ title, frame, plane, origin, pictures, contacts, regions, trace }) {
+  const { unit, ofRaw, ofRestored } = frame;
+  const [force, pressure] = [`, ${FORCE_UNITS[unit]}`, `, ${UNITS[unit]}`];
+  const area = (/** @type {Float32Array} */ values, /** @type {number} */ gain, /** @type {import("../maps/geometry.js").Cells} */ cells) =>
+    number(measureRegion([...cells.x.keys()].filter((i) => cells.area[i]), { ...frame, restored: values, noiseGain: gain }, cells)?.area ?? NaN);
+  const both = [
+    ["", "raw", "restored"],
+    [`force${force}`, forceNumber(ofRaw.force, unit), forceNumber(ofRestored.force, unit)],
+    [`peak${pressure}`, number(ofRaw.peak), number(ofRestored.peak)],
+    ["area, mm²", area(frame.raw, 1, plane.raw), area(frame.restored, frame.noiseGain, plane.restored)],
+    ["centre x, mm", fixed(ofRaw.x, 1), fixed(ofRestored.x, 1)],
+    ["centre y, mm", fixed(ofRaw.y, 1), fixed(ofRestored.y, 1)],
+  ];
+  const found = contacts.map((each) => [
+    `contact ${each.id}`, forceNumber(each.force, unit), number(each.peak), number(each.area_mm2), fixed(each.x_mm, 1), fixed(each.y_mm, 1),
+  ]);
+  const measured = regions.map(([name, of]) => [
+    name, ...(of ? [forceNumber(of.force, unit), number(of.mean), number(of.peak), number(of.area)] : ["–", "–", "–", "–"]),
+  ]);
+  const sections = [
+    `<dl>${origin.map(([name, value]) => `<dt>${escaped(name)}</dt><dd>${escaped(value)}</dd>`).join("")}</dl>`,
+    ...pictures.slice(0, 1).map(figure), table(both),
+    ...(found.length ? [`<h2>Contacts</h2>${table([["", `force${force}`, `peak${pressure}`, "area, mm²", "x, mm", "y, mm"], ...found])}`] : []),
+    ...(measured.length ? [`<h2>Regions</h2>${table([["", `force${force}`, `mean${pressure}`, `peak${pressure}`, "area, mm²"], ...measured])}`] : []),
+    ...pictures.slice(1).map(figure),
+    ...(trace ? [`<details><summary>Force over time, values</summary><pre>${escaped(traceCsv(trace, FORCE_UNITS[unit]))}</pre></details>`] : []),
+  ];
+  return `<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>${escaped(title)}</title><style>${STYLE}</style></head>\n`
+    + `<body><h1>${escaped(title)}</h1>\n${sections.join("\n")}\n</body></html>\n`;
+}
+
+/** @param {[string, string]} picture @returns {string} */
+const figure = ([title, address]) => `<figure><img src="${address}" alt="${escaped(title)}"><figcaption>${escaped(title)}</figcaption></figure>`;
+
+/** @param {ForceTrace} trace @param {string} unit @returns {string} */
+function traceCsv(trace, unit) {
+  const lines = [`time_s,raw_${unit},restored_${unit}`];
+  for (let back = trace.length - 1; back >= 0; back -= 1) {
+    const at = trace.place(back);
+    const [raw, restored] = [trace.rawForces[at], trace.restoredForces[at]];
+    if (!Number.isNaN(raw)) lines.push(`${trace.times[at].toFixed(3)},${+raw.toPrecision(6)},${Number.isNaN(restored) ? "" : +restored.toPrecision(6)}`);
+  }
+  return lines.join("\n");
+}

@@ -1,0 +1,81 @@
+/** What one image amounts to: force, peak, place of contact. @module */
+
+import { FORCE_SCALES } from "../shell/units.js";
+
+/** @import { Cells } from "./geometry.js" */
+
+/**
+ * @typedef {object} Measures NaN where too few cells are known
+ * @property {number} force over every cell that is known
+ * @property {number} peak
+ * @property {number} peakIndex -1 where nothing is known
+ * @property {boolean} contact the peak stands clear of the noise
+ * @property {number} x mm, pressure-weighted centre of contact; NaN without contact
+ * @property {number} y mm
+ * @property {number} unknown cells of which nothing is known
+ */
+
+const CLEAR = 5; // noise deviations from which a peak is a contact
+const MAX_UNKNOWN = 0.2; // of all cells, as of a region's: `contacts/felt.py`
+const SHARE = 0.1; // of the peak from which a cell counts towards the centre
+
+/** @returns {Measures} */
+export function measures() {
+  return { force: NaN, peak: NaN, peakIndex: -1, contact: false, x: NaN, y: NaN, unknown: 0 };
+}
+
+/**
+ * Measure an image.
+ * @param {Float32Array} values
+ * @param {Cells} cells
+ * @param {number} noise standard deviation of one cell
+ * @param {Measures} into
+ * @param {number} [unit] of the values, which force follows
+ */
+export function measure(values, cells, noise, into, unit = 0) {
+  const { count, x, y, area, felt } = cells;
+  let sum = 0;
+  let peak = -Infinity;
+  let peakIndex = -1;
+  let unknown = 0;
+  for (let i = 0; i < count; i += 1) {
+    const p = values[i];
+    if (p !== p) {
+      if (area[i]) unknown += 1;
+    } else {
+      sum += p * area[i];
+      if (p > peak) {
+        peak = p;
+        peakIndex = i;
+      }
+    }
+  }
+  if (unknown > MAX_UNKNOWN * felt) {
+    sum = peak = NaN;
+    peakIndex = -1;
+  }
+  into.force = sum * FORCE_SCALES[unit];
+  into.peak = peakIndex < 0 ? NaN : peak;
+  into.peakIndex = peakIndex;
+  into.unknown = unknown;
+  into.contact = peakIndex >= 0 && peak > CLEAR * noise && peak > 0;
+  into.x = into.y = NaN;
+  if (!into.contact) return;
+  const floor = Math.max(SHARE * peak, 3 * noise);
+  let weight = 0;
+  let mx = 0;
+  let my = 0;
+  for (let i = 0; i < count; i += 1) {
+    const p = values[i];
+    if (p >= floor) {
+      const force = p * area[i];
+      weight += force;
+      mx += force * x[i];
+      my += force * y[i];
+    }
+  }
+  if (weight > 0) {
+    into.x = mx / weight;
+    into.y = my / weight;
+  }
+}

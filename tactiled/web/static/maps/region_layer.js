@@ -1,0 +1,132 @@
+/** The regions' outlines on a map, and the one that is being drawn. @module */
+
+import { context2d, fitCanvas } from "../shell/dom.js";
+
+/** @import { Plane } from "./geometry.js" */
+/** @import { Shape } from "../wire/api.js" */
+
+const TEXT_PX = 12; // CSS px
+const HANDLE_PX = 5; // radius
+
+/** Of series by slot, as style.css has them for a dark page: maps are dark. */
+const SERIES = ["#56b4e9", "#ff9d5c", "#19a87c", "#e8a0cc", "#e7edf3", "#f0d24c"];
+
+/** @typedef {{name: string, shape: Shape, points_mm: [number, number][], exceeded: boolean, slot?: number}} Outline of a region; `slot` is of its series */
+
+export class RegionLayer {
+  /** @param {HTMLElement} frame of the map */
+  constructor(frame) {
+    this._canvas = document.createElement("canvas");
+    this._canvas.className = "marks";
+    this._canvas.setAttribute("aria-hidden", "true");
+    frame.querySelector("canvas")?.after(this._canvas); // under the labels of contacts
+    /** @type {Plane|null} */
+    this._plane = null;
+    this._zoom = 1;
+  }
+
+  /** @param {Plane} plane @param {number} zoom CSS px per mm */
+  resize(plane, zoom) {
+    this._plane = plane;
+    this._zoom = zoom;
+  }
+
+  /** @param {Outline[]} outlines */
+  draw(outlines) {
+    const plane = this._plane;
+    if (!plane) return;
+    const zoom = this._zoom;
+    const ratio = fitCanvas(this._canvas, plane.width * zoom, plane.height * zoom);
+    const draw = context2d(this._canvas);
+    draw.setTransform(ratio, 0, 0, ratio, 0, 0);
+    draw.clearRect(0, 0, plane.width * zoom, plane.height * zoom);
+    draw.font = `600 ${TEXT_PX}px ${getComputedStyle(document.body).fontFamily}`;
+    draw.lineJoin = "round";
+    const labels = [];
+    for (const { name, shape, points_mm, exceeded, slot } of outlines) {
+      const color = SERIES[slot ?? -1] ?? (exceeded ? "#ffb454" : "#fff");
+      const points = points_mm.map(([x, y]) => [(x - plane.left) * zoom, (y - plane.top) * zoom]);
+      const xs = points.map((each) => each[0]);
+      const ys = points.map((each) => each[1]);
+      const [left, top, bottom] = [Math.min(...xs), Math.min(...ys), Math.max(...ys)];
+      draw.beginPath();
+      outline(draw, shape, points, left, top, Math.max(...xs) - left, bottom - top);
+      for (const [width, stroke] of /** @type {const} */ ([[3.5, "rgb(0 0 0 / 80%)"], [1.5, color]])) {
+        draw.setLineDash(width > 2 || exceeded ? [] : [6, 3]);
+        draw.lineWidth = width;
+        draw.strokeStyle = stroke;
+        draw.stroke();
+      }
+      draw.setLineDash([]);
+      if (!name && shape === "polygon") drawHandle(draw, points[0]);
+      if (name) labels.push({ name: exceeded ? `▲ ${name}` : name, color, left, top, bottom });
+    }
+    this._label(labels, plane.width * zoom, plane.height * zoom);
+  }
+
+  /** @param {Name[]} names @param {number} width px, of the map @param {number} height px */
+  _label(names, width, height) {
+    const draw = context2d(this._canvas);
+    draw.lineWidth = 3;
+    draw.strokeStyle = "rgb(0 0 0 / 80%)";
+    for (const { name, color, x, y } of placeNames(names, width, height, (text) => draw.measureText(text).width)) {
+      draw.fillStyle = color;
+      draw.strokeText(name, x, y);
+      draw.fillText(name, x, y);
+    }
+  }
+}
+
+/** @typedef {{name: string, color: string, left: number, top: number, bottom: number}} Name of a region that is there, px */
+
+/**
+ * Place each name below its region, as labels of contacts are above them; else above or in it.
+ * @param {Name[]} names
+ * @param {number} width px, of the map
+ * @param {number} height px
+ * @param {(text: string) => number} widthOf a text, px
+ * @returns {(Name & {x: number, y: number, wide: number})[]} those that are on the map and over no other, by their lower left corner
+ */
+export function placeNames(names, width, height, widthOf) {
+  /** @type {(Name & {x: number, y: number, wide: number})[]} */
+  const placed = [];
+  for (const each of names) {
+    const { left, top, bottom } = each;
+    const wide = widthOf(each.name);
+    const x = Math.max(2, Math.min(width - wide - 2, left + 2));
+    const free = (/** @type {number} */ y) => y >= TEXT_PX && y <= height - 4
+      && placed.every((other) => Math.abs(other.y - y) > TEXT_PX || other.x > x + wide || x > other.x + other.wide);
+    const y = [bottom + TEXT_PX + 1, top - 4, top + TEXT_PX + 2, bottom - 4, (top + bottom) / 2].find(free);
+    if (y !== undefined) placed.push({ ...each, x, y, wide });
+  }
+  return placed;
+}
+
+/** Mark the corner at which a polygon is closed. @param {CanvasRenderingContext2D} draw @param {number[]} place px */
+function drawHandle(draw, [x, y]) {
+  draw.beginPath();
+  draw.arc(x, y, HANDLE_PX, 0, 2 * Math.PI);
+  draw.fillStyle = "#fff";
+  draw.fill();
+  draw.lineWidth = 2;
+  draw.strokeStyle = "rgb(0 0 0 / 80%)";
+  draw.stroke();
+}
+
+/**
+ * @param {CanvasRenderingContext2D} draw
+ * @param {Shape} shape
+ * @param {number[][]} points px
+ * @param {number} left px, of the box round it
+ * @param {number} top
+ * @param {number} width
+ * @param {number} height
+ */
+function outline(draw, shape, points, left, top, width, height) {
+  if (shape === "rectangle") draw.rect(left, top, width, height);
+  else if (shape === "ellipse") draw.ellipse(left + width / 2, top + height / 2, width / 2, height / 2, 0, 0, 2 * Math.PI);
+  else {
+    for (const [x, y] of points) draw.lineTo(x, y);
+    draw.closePath();
+  }
+}

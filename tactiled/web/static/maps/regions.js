@@ -1,0 +1,288 @@
+/** Regions of the sensor that is watched: their list, their values over time, and the dialog to set one. @module */
+
+import * as api from "../wire/api.js";
+import { Chart, gappedLine } from "../charts/chart.js";
+import { roundUp } from "./display_range.js";
+import { byId, confirmed, element, setText } from "../shell/dom.js";
+import { number } from "../shell/format.js";
+import { cellAround } from "./geometry.js";
+import { RegionDrawing } from "./region_drawing.js";
+import { RegionLayer } from "./region_layer.js";
+import { cellsIn, measureRegion } from "./region_measure.js";
+import { messageOf, notice } from "../shell/notice.js";
+import { PlaybackSession } from "../playback/playback_session.js";
+import { withToken } from "../wire/token_dialog.js";
+import { FORCE_UNITS, forceNumber, forceText, pressureText, unitOf, unitOfQuantity } from "../shell/units.js";
+
+/** @import { Measure, Region, Shape } from "../wire/api.js" */
+/** @import { Plane } from "./geometry.js" */
+/** @import { RegionMeasures } from "./region_measure.js" */
+/** @import { Viewer } from "../shell/viewer.js" */
+
+const POLL_MS = 250;
+const CHART_POINTS = 600;
+const HYSTERESIS = 0.1; // of the threshold, below which it is over where nobody says otherwise
+const MAX_GAP_S = 1; // between two values that the line joins, as in the service's integrals
+const SHAPES = /** @type {Shape[]} */ (["rectangle", "ellipse", "polygon"]);
+
+export class Regions {
+  /** @param {Viewer} viewer */
+  constructor(viewer) {
+    this._viewer = viewer;
+    /** @type {Region[]} */
+    this._regions = [];
+    /** @type {{plane: Plane, shapes: string, cells: number[][]}|null} the regions' cells */
+    this._inside = null;
+    /** @type {(RegionMeasures|null)[]} of each, in the frame that is shown */
+    this._values = [];
+    this._sensor = ""; // whose regions are in the list; another one than is watched until the next look
+    this._owner = ""; // sensor of the region in the dialog
+    const { raw, restored } = viewer.maps;
+    this._layers = [raw, restored].map((each) => new RegionLayer(each.frame));
+    this._drawing = new RegionDrawing([raw, restored], () => this._draw(), (shape, points) => this._drawn(shape, points));
+    this._body = /** @type {HTMLTableSectionElement} */ (byId("regions").querySelector("tbody"));
+    this._dialog = /** @type {HTMLDialogElement} */ (byId("region"));
+    this._name = /** @type {HTMLInputElement} */ (byId("region-name"));
+    this._span = /** @type {HTMLSelectElement} */ (byId("region-span"));
+    this._limit = /** @type {HTMLSelectElement} */ (byId("region-limit"));
+    this._above = /** @type {HTMLInputElement} */ (byId("region-above"));
+    this._below = /** @type {HTMLInputElement} */ (byId("region-below"));
+    this._chart = new Chart(/** @type {HTMLCanvasElement} */ (byId("region-chart")));
+    /** The newest bringing up to date of the dialog. @type {Promise<void>} */
+    this._plotting = Promise.resolve();
+    /** @type {{shape: Shape, points_mm: [number, number][], name?: string}|null} in the dialog */
+    this._chosen = null;
+    for (const shape of SHAPES) byId(`region-${shape}`).addEventListener("click", () => this._toggle(shape));
+    byId("region-save").addEventListener("click", () => this._save());
+    byId("region-delete").addEventListener("click", (event) => confirmed(/** @type {HTMLButtonElement} */ (event.currentTarget)) && this._act("Not deleted", (name) => api.removeRegion(this._owner, name), true));
+    byId("region-reset").addEventListener("click", () => this._act("Not reset", (name) => api.resetRegion(this._owner, name), false));
+    byId("region-close").addEventListener("click", () => this._dialog.close());
+    this._span.addEventListener("change", () => this._plot());
+    this._limit.addEventListener("change", () => this._showLimit());
+    this._above.addEventListener("input", () => this._above.setCustomValidity(""));
+    setInterval(() => this._poll(), POLL_MS);
+  }
+
+  /** Draw a shape on the maps, which come into view, or no longer. @param {Shape} shape */
+  _toggle(shape) {
+    if (this._drawing.shape === shape) {
+      this._drawing.end();
+      return;
+    }
+    window.scrollTo({ top: 0 });
+    this._drawing.start(shape);
+  }
+
+  /** @returns {string[]} of the regions in the list */
+  get names() {
+    return this._regions.map((each) => each.name);
+  }
+
+  /** The maps have another size. @param {number} zoom CSS px per mm */
+  layout(zoom) {
+    const { session } = this._viewer;
+    if (!session) return;
+    for (const each of this._layers) each.resize(session.plane, zoom);
+    this._draw();
+  }
+
+  async _poll() {
+    const { name } = this._viewer;
+    if (document.hidden || byId("main").hidden) return;
+    if (name !== this._sensor) this._take(name, []);
+    if (!name) return;
+    try {
+      const regions = await api.regions(name);
+      if (name === this._viewer.name) this._take(name, regions);
+    } catch {
+      return; // the page says already that the service does not answer
+    }
+    if (this._dialog.open) {
+      this._showLimit();
+      await this._plot();
+    }
+  }
+
+  /** @returns {string} what differs where a region is another */
+  get shapes() {
+    return JSON.stringify(this._regions.map(({ name, shape, points_mm }) => [name, shape, points_mm]));
+  }
+
+  /** Bring the values up to date with the frame that is shown. */
+  read() {
+    const { session, name, frame, held } = this._viewer;
+    const { plane = null } = session ?? {};
+    if (!plane || this._sensor !== name) return;
+    if (this._inside?.plane !== plane || this._inside.shapes !== this.shapes) {
+      this._inside = { plane, shapes: this.shapes, cells: this._regions.map((each) => cellsIn(each, plane.restored)) };
+    }
+    const { cells: inside } = this._inside;
+    this._values = this._regions.map((region, i) => {
+      const { cells } = this._body.rows[i];
+      const now = session instanceof PlaybackSession && held.kind === "now" ? session.regions.find((each) => each.name === region.name)
+        : frame && measureRegion(inside[i], frame, plane.restored);
+      setText(cells[1], now?.force == null ? "–" : forceNumber(now.force, session?.unit ?? 0));
+      setText(cells[2], now?.mean == null ? "–" : number(now.mean));
+      setText(cells[3], now?.peak == null ? "–" : number(now.peak));
+      setText(cells[4], now?.area == null ? "–" : number(now.area));
+      return now?.force == null ? null : /** @type {RegionMeasures} */ (now);
+    });
+  }
+
+  /** @returns {[string, RegionMeasures|null][]} what each holds in the frame that is shown */
+  measured() {
+    this.read();
+    return this._regions.map(({ name }, i) => [name, this._values[i] ?? null]);
+  }
+
+  /** @param {string} sensor @param {Region[]} watched */
+  _take(sensor, watched) {
+    const { session } = this._viewer;
+    for (const { name, threshold, exceeded, unit } of session instanceof PlaybackSession ? [] : watched) {
+      if (exceeded && threshold && !(sensor === this._sensor && this._regions.some((each) => each.name === name && each.exceeded))) {
+        notice(`${sensor}: ${threshold.quantity} in region ${name} is above ${threshold.above} ${unitOfQuantity(threshold.quantity, unitOf(unit))}`, true);
+      }
+    }
+    this._sensor = sensor;
+    const regions = session instanceof PlaybackSession ? watched.map((each) => ({ ...each, exceeded: false })) : watched;
+    this._regions = regions;
+    byId("regions").hidden = !regions.length;
+    while (this._body.rows.length < regions.length) this._body.append(this._row());
+    while (this._body.rows.length > regions.length) this._body.deleteRow(-1);
+    regions.forEach(({ name, exceeded }, i) => {
+      this._body.rows[i].classList.toggle("some", exceeded);
+      setText(/** @type {Element} */ (this._body.rows[i].cells[0].firstElementChild), name);
+    });
+    this.read();
+    this._draw();
+  }
+
+  /** @returns {HTMLTableRowElement} */
+  _row() {
+    const button = element("button", "link");
+    button.type = "button";
+    button.addEventListener("click", () => {
+      const region = this._regions.find((each) => each.name === button.textContent);
+      if (region) this._open(region, this._sensor);
+    });
+    const head = element("th", "", button);
+    head.scope = "row";
+    return element("tr", "", head, ...Array.from({ length: 4 }, () => element("td", "")));
+  }
+
+  _draw() {
+    const { shape, points, closable } = this._drawing;
+    for (const each of SHAPES) byId(`region-${each}`).setAttribute("aria-pressed", String(each === shape));
+    setText(byId("region-polygon"), closable ? "Done" : "Polygon");
+    const drawn = shape && points.length ? [{ name: "", shape, points_mm: points, exceeded: false }] : [];
+    const { charted } = this._viewer;
+    const outlines = this._regions.map((each) => ({ ...each, slot: charted?.get(`region ${each.name}`) }));
+    for (const each of this._layers) each.draw([...outlines, ...drawn]);
+  }
+
+  /** Open the dialog for a new region: what was drawn, or the cell that was clicked. @param {Shape} shape @param {[number, number][]} points */
+  _drawn(shape, points) {
+    const { session, name } = this._viewer;
+    const cell = shape !== "polygon" && session ? cellAround(session.plane, points) : null;
+    this._open(cell ? { shape: "rectangle", points_mm: cell.corners } : { shape, points_mm: points }, name);
+    if (!cell) return;
+    setText(byId("region-title"), "New region: one cell");
+    this._name.value = cell.name;
+  }
+
+  /**
+   * @param {{shape: Shape, points_mm: [number, number][], name?: string, threshold?: Region["threshold"]}} region
+   * @param {string} sensor
+   */
+  _open(region, sensor) {
+    this._chosen = region;
+    this._owner = sensor;
+    const isNew = region.name === undefined;
+    setText(byId("region-title"), isNew ? `New region: ${region.shape}` : `Region ${region.name}`);
+    this._name.value = region.name ?? "";
+    this._name.readOnly = !isNew;
+    this._limit.value = region.threshold?.quantity ?? "";
+    this._above.value = String(region.threshold?.above ?? "");
+    this._below.value = String(region.threshold?.below ?? "");
+    byId("region-held").hidden = byId("region-reset").hidden = isNew || this._viewer.session instanceof PlaybackSession;
+    byId("region-delete").hidden = isNew;
+    setText(byId("region-close"), isNew ? "Cancel" : "Close");
+    this._showLimit();
+    this._dialog.showModal();
+    if (isNew) this._name.focus();
+    else this._plot();
+  }
+
+  _showLimit() {
+    const quantity = /** @type {Measure|""} */ (this._limit.value);
+    byId("region-limits").hidden = !quantity;
+    if (!quantity) return;
+    const { session, frame, unit } = this._viewer;
+    const unitText = unitOfQuantity(quantity, unit);
+    for (const each of this._dialog.querySelectorAll(".limit-unit")) setText(each, unitText);
+    const cells = session?.plane.restored;
+    const now = this._chosen && frame && cells && measureRegion(cellsIn(this._chosen, cells), frame, cells);
+    setText(byId("region-now"), now ? `Now it is ${quantity === "force" ? forceNumber(now.force, unit) : number(now[quantity])} ${unitText}.` : "");
+  }
+
+  async _save() {
+    const { _chosen: chosen, _name: { value: name } } = this;
+    if (!chosen) return;
+    const quantity = /** @type {Measure|""} */ (this._limit.value);
+    const above = this._above.valueAsNumber;
+    if (quantity && Number.isNaN(above)) {
+      this._above.setCustomValidity("Give the value above which it is reported.");
+      this._above.reportValidity();
+      return;
+    }
+    const below = this._below.value ? this._below.valueAsNumber : above - HYSTERESIS * Math.abs(above);
+    const threshold = quantity ? { quantity, above, below } : null;
+    const { shape, points_mm } = chosen;
+    if (chosen.name === undefined && this._regions.some((each) => each.name === name)) {
+      notice(`There is a region ${name}: give another name.`, true);
+    } else if (await withToken(() => api.putRegion(this._owner, name, { shape, points_mm, threshold }), "Region not saved")) {
+      this._dialog.close();
+    }
+    await this._poll();
+  }
+
+  /** @param {string} failed @param {(name: string) => Promise<unknown>} action @param {boolean} close at once: nothing asks for what is deleted */
+  async _act(failed, action, close) {
+    const name = this._chosen?.name;
+    if (close) this._dialog.close();
+    await this._plotting; // or its request may come after the region has ended
+    if (name !== undefined) await withToken(() => action(name), failed);
+    await this._poll();
+  }
+
+  /** Bring the dialog's chart and values up to date. @returns {Promise<void>} */
+  _plot() {
+    this._plotting = this._plotted();
+    return this._plotting;
+  }
+
+  async _plotted() {
+    const region = this._regions.find((each) => each.name === this._chosen?.name);
+    if (!region || byId("region-held").hidden) return;
+    const unit = unitOf(region.unit);
+    const { highest, impulse, pressure_time, since } = region;
+    setText(byId("region-since"), since === null ? "" : `since ${new Date(1000 * since).toLocaleTimeString([], { hour12: false })}`);
+    const texts = highest?.force == null || highest.peak == null ? ["–", "–", "–", "–"] : [
+      forceText(highest.force, unit), pressureText(highest.peak, unit), `${forceText(impulse, unit)}·s`, `${pressureText(pressure_time, unit)}·s`,
+    ];
+    ["force", "peak", "impulse", "integral"].forEach((id, i) => setText(byId(`region-${id}`), texts[i]));
+    const seconds = Number(this._span.value);
+    const link = /** @type {HTMLAnchorElement} */ (byId("region-csv"));
+    link.href = api.regionCsv(this._owner, region.name, seconds);
+    link.download = `${this._owner}-${region.name}.csv`;
+    try {
+      const { time, force } = await api.regionSeries(this._owner, region.name, seconds, CHART_POINTS);
+      const of = gappedLine(time, force ?? [], MAX_GAP_S + seconds / CHART_POINTS, "restored");
+      of.zero = time[time.length - 1] ?? 0;
+      const top = roundUp(Math.max(unit ? 100 : 0.1, ...of.y.filter(Number.isFinite)));
+      this._chart.draw({ left: -seconds, right: 0, bottom: 0, top, x: "time, s", y: FORCE_UNITS[unit] }, [of]);
+    } catch (error) {
+      notice(`Series of ${region.name}: ${messageOf(error)}`, true);
+    }
+  }
+}
