@@ -8,6 +8,7 @@ from functools import partial
 import numpy as np
 
 from tactiled import surface
+from tactiled.arrays import Floats
 from tactiled.bus import skins
 from tactiled.bus.codec import Codec, ShearCodec
 from tactiled.bus.codecs.packed import CLASSIC
@@ -24,10 +25,11 @@ from tactiled.cover.summary import CoverSummary, summarise
 from tactiled.diagnostics.warning_codes import warning
 from tactiled.errors import ConfigError, TactileError
 from tactiled.frames import CONFIGURED, FrameWarning
-from tactiled.geometry import Array, Pose, Raster, grid, layout, raster
+from tactiled.geometry import Array, Pose, Raster, grid, layout, raster, tiling
 from tactiled.restore.blur import Blur
 from tactiled.restore.methods import named
-from tactiled.units import COUNTS, PRESSURE, Unit
+from tactiled.restore.traction import Coupled
+from tactiled.units import COUNTS, N_PER_KPA_MM2, PRESSURE, Unit
 
 LOG = logging.getLogger(__name__)
 MAX_CELLS = 1 << 16  # of a surface: four times the taxels that the packed layout can carry, and solved in seconds
@@ -55,6 +57,7 @@ class SensorPlan:
     calibrated: bool  # whether pressures are in kPa; else they are in counts
     file: CalibrationFile | None = None  # that it is calibrated with
     pose: Pose | None = None  # of the array in its robot; None where it is not configured
+    coupled: Coupled | None = None  # what it feels of a tangential load; None where that is not restored
 
     @property
     def unit(self) -> Unit:
@@ -75,6 +78,12 @@ class SensorPlan:
     def shears(self) -> bool:
         """Whether the skin feels shear."""
         return isinstance(self.codec, ShearCodec)
+
+    @property
+    def kpa_per_shear_count(self) -> Floats:
+        """(N,) tangential stress of one count of shear; of a skin whose tangential load is restored."""
+        assert self.calibration.shear_n_per_count is not None
+        return self.calibration.shear_n_per_count / (tiling(self.array).areas * N_PER_KPA_MM2)
 
 
 def sensor_plans(config: schema.Config, report: Report = lambda _: None) -> tuple[SensorPlan, ...]:
@@ -156,6 +165,7 @@ def _plan(
     blur = surface.make(kernel, array, refine)
     if cover:
         blur.thickness_error = cover.fit.thickness_error
+    restores_shear = calibrated and calibration.shear_n_per_count is not None and all(kernel.stack.bonds)
     place = sensor.array.model_dump(include={"frame_id", "origin_mm", "orientation"}, exclude_none=True)
     return SensorPlan(
         name=name,
@@ -174,6 +184,7 @@ def _plan(
         calibrated=calibrated,
         file=file,
         pose=Pose(**place) if place else None,
+        coupled=surface.coupled(kernel.stack, blur, array) if restores_shear else None,
     )
 
 

@@ -1,6 +1,7 @@
 """The way of a frame from counts to its image: live, in playback, in exports and from files of frames."""
 
 from collections.abc import Callable
+from functools import cached_property
 from threading import Lock
 from typing import Any, cast
 
@@ -13,10 +14,11 @@ from tactiled.calibrate.counts.tare import Zero, below_zero
 from tactiled.contacts.felt import shares, unknown_cells
 from tactiled.diagnostics.checks import FrameChecks
 from tactiled.diagnostics.warning_codes import WarningCode, warning
-from tactiled.frames import BELOW_ZERO, FLAG_BITS, UNKNOWN, FrameWarning, Image, RawFrame
+from tactiled.frames import BELOW_ZERO, FLAG_BITS, SATURATED, UNKNOWN, FrameWarning, Image, RawFrame
 from tactiled.restore.methods import NO_DATA, Restorer, make
 from tactiled.restore.noise import noise_ratio
 from tactiled.restore.scene import Restored, never
+from tactiled.restore.traction import Load, Traction
 
 FLAG_CODES = {cast(WarningCode, name.lower()): flag for name, flag in FLAG_BITS.items()}
 
@@ -40,6 +42,8 @@ class Chain:
         self._restorers: dict[tuple[str, float], Restorer] = {}  # of a method and a noise
         self._restorer: Restorer  # of the newest frame
         self._method = plan.method  # of the newest frame
+        self._traction = Traction(plan.coupled) if plan.coupled else None
+        self._load: Load | None = None  # tangential, under the newest frame's image
         self._deviation: tuple[tuple[str, float], Restorer] | None = None
         self._deviation_lock = Lock()
         if plan.calibration.noise_counts is not None:
@@ -83,12 +87,50 @@ class Chain:
         below = below_zero(raw, self.noise, highest)
         return flags | np.where(below, BELOW_ZERO, np.uint8(0)) if np.count_nonzero(below) else flags
 
-    def restore(self, raw: Floats32, flags: Flags, method: str, expired: Callable[[], bool] = never) -> Restored:
-        """Restore pressures; what is far below zero counts as none. The image has no NaN, until the next frame."""
+    def restore(
+        self,
+        raw: Floats32,
+        flags: Flags,
+        method: str,
+        expired: Callable[[], bool] = never,
+        frame: RawFrame | None = None,
+    ) -> Restored:
+        """Restore pressures; what is far below zero counts as none. The image has no NaN, until the next frame.
+
+        Of a `frame` with shear whose scale is known, the tangential load is restored under that image, and then
+        the pressures less what it adds to them, but for the raw image.
+        """
         restorer, below = self.restorer(method), flags & BELOW_ZERO
         if np.count_nonzero(below):
             raw, flags = np.where(below > 0, np.float32(0), raw), flags & ~np.uint8(BELOW_ZERO)
-        return restorer(raw, flags, expired)
+        done, self._load = restorer(raw, flags, expired), None
+        sheared = None if frame is None else self._sheared(frame, raw, flags)
+        if self._traction and sheared is not None:
+            noise = self.noise * np.array([1, self._shear_noise, self._shear_noise])
+            self._load = load = self._traction(restorer.surface, sheared, noise)
+            if load.pressure.any() and method != "raw":
+                done = restorer(_less(raw, load), flags, expired)
+                again = self._traction(restorer.surface, sheared, noise)
+                self._load = again._replace(pressure=load.pressure)  # that the image is without
+            else:
+                self._load = load._replace(pressure=np.zeros_like(load.pressure))
+        return done
+
+    def _sheared(self, frame: RawFrame, raw: Floats32, flags: Flags) -> Floats | None:
+        """Pressure and shear of a frame (3, N) in kPa, NaN where unknown; None where shear is not restored."""
+        if self._traction is None or frame.shear is None or not np.isfinite(self.shear_zero).all():
+            return None
+        shear = (frame.shear - self.shear_zero) * self.plan.kpa_per_shear_count
+        readings = np.concatenate([raw.reshape(1, -1), shear]).astype(float)
+        readings[:, flags.ravel() & UNKNOWN > 0] = np.nan
+        readings[0, flags.ravel() & SATURATED > 0] = np.nan
+        return readings
+
+    @cached_property
+    def _shear_noise(self) -> float:
+        """Noise of shear over that of pressure in kPa, where both have as much in counts."""
+        per_count = self.calibrator.noise_kpa(np.ones(self.plan.array.size))
+        return float(np.median(np.abs(self.plan.kpa_per_shear_count)) / np.median(per_count))
 
     def known(self, restored: Floats32, flags: Flags) -> tuple[Floats32, Floats32 | None]:
         """A copy of a restored image, NaN where no taxel feels it or lost ones leave it unknown; and `shares`."""
@@ -105,16 +147,24 @@ class Chain:
 
     def warnings(self, raw: Floats32, doubtful: Flags, done: Restored) -> tuple[FrameWarning, ...]:
         """Compare the image restored last with its frame, now and then: what several frames in turn have shown."""
+        raw = raw if self._load is None else _less(raw, self._load)
         return self._checks(raw, doubtful, done.image, self.noise, done.method, self._restorer.predicted)
 
     def check(self, image: Image) -> tuple[WarningCode, ...]:
         """Compare the image restored last, which has no unknown cell, with its frame: what this one shows."""
         doubtful, predict = self.doubtful(image.flags), self._restorer.predicted
-        return self._checks.check(image.raw, doubtful, image.restored, self.noise, image.method, predict)
+        raw = image.raw if image.tilt is None else image.raw - image.tilt
+        return self._checks.check(raw, doubtful, image.restored, self.noise, image.method, predict)
 
     def image(self, frame: RawFrame, raw: Floats32, flags: Flags, done: Restored, **others: Any) -> Image:
         """The image of a frame as it was restored; `others` are the fields that nothing here has."""
-        restored, share = self.known(done.image, flags)
+        (restored, share), load = self.known(done.image, flags), self._load
+        loads: dict[str, Any] = {}
+        if load is not None:
+            unknown = np.isnan(restored)
+            drawn = (np.where(unknown, np.float32(np.nan), each) for each in (load.traction, load.deviation))
+            tilt = load.pressure.reshape(raw.shape).astype(np.float32)
+            loads = dict(zip(("traction", "traction_deviation", "tilt"), (*drawn, tilt), strict=True))
         return Image(
             sensor=self.plan.name,
             sequence=frame.sequence,
@@ -134,6 +184,7 @@ class Chain:
             unit=self.plan.unit,
             calibration=self.plan.calibration_id,
             shares=share,
+            **loads,
             **others,
         )
 
@@ -153,8 +204,13 @@ class Chain:
                 self._deviation = wanted_by, make(wanted_by[0], self.plan.blur, wanted_by[1])
             restorer = self._deviation[1]
             restorer.weigh(self.noise_ratio)
-            restorer(image.raw, image.flags)
+            restorer(image.raw if image.tilt is None else image.raw - image.tilt, image.flags)
             return np.where(np.isnan(image.restored), np.nan, restorer.deviation()).astype(np.float32)
+
+
+def _less(raw: Floats32, load: Load) -> Floats32:
+    """Pressures less what a tangential load adds to them."""
+    return np.asarray(raw - load.pressure.reshape(raw.shape), np.float32)
 
 
 def flag_warnings(flags: Flags) -> tuple[FrameWarning, ...]:

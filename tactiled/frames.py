@@ -133,6 +133,9 @@ class Image:
     unit: Unit = PRESSURE  # of raw, restored and noise: counts without a calibration
     calibration: str = CONFIGURED  # id of the calibration file that it was made with: 12 hex digits
     times: StageTimes | None = None  # None where it was made elsewhere
+    traction: NDArray[np.float32] | None = None  # kPa, tangential load along x and y (2, rows, columns), restored
+    traction_deviation: NDArray[np.float32] | None = None  # kPa, its standard deviation
+    tilt: NDArray[np.float32] | None = None  # kPa of `raw` that comes of it; None: nothing does
     shares: NDArray[np.float32] | None = None  # of each cell, by `contacts.felt`; None where no message is lost
 
     @property

@@ -6,9 +6,12 @@ import numpy as np
 
 from tactiled.cover.kernel import Kernel
 from tactiled.cover.operator import cached, stencil, tiled
+from tactiled.cover.stack import Stack
+from tactiled.cover.tangential import responses
 from tactiled.errors import ConfigError
 from tactiled.geometry import Array, Raster, grid, raster, spacing, squares
 from tactiled.restore.blur import Blur, GridBlur, MatrixBlur, Wide
+from tactiled.restore.traction import Coupled
 
 BEYOND = 2  # pitches that the surface reaches beyond the taxels: with 3 or 4 errors grow again
 THIN_BEYOND, THIN_PITCHES = 1, 0.75  # the same under a cover that is thinner than so many pitches
@@ -62,6 +65,23 @@ def make(kernel: Kernel, array: Array, refine: int) -> Blur:
     blur = grid_blur(kernel, array, refine)
     blur.wide = _beyond(kernel, array, refine, beyond)
     return blur
+
+
+def coupled(stack: Stack, blur: Blur, array: Array) -> Coupled:
+    """Give what taxels feel of pressure and tangential load on the surface that `blur` restores, by flat layers.
+
+    PhysicsError where a layer slides.
+    """
+    image, pitch = raster(array, blur.refine), spacing(array)
+    own = blur.wide.own if blur.wide else (slice(None),) * 2
+    rows, columns = (blur.wide.blur if blur.wide else blur).surface_shape
+    y, x = (np.arange(n) - (each.start or 0) for n, each in zip((rows, columns), own, strict=True))
+    cells = image.corner + image.side * np.column_stack([np.tile(x, rows), np.repeat(y, columns)])
+    each = np.eye(rows * columns).reshape(-1, rows, columns)
+    pressure = np.stack([blur.wide.forward(cell).ravel() for cell in each]) if blur.wide else blur.forward(each)
+    felt = responses(stack, array, cells, image.side)
+    matrix = np.block([[pressure.reshape(len(cells), -1).T, felt.tilt], [felt.apart, felt.tangential]])
+    return Coupled(matrix, cells / pitch, (rows, columns), own)
 
 
 def _beyond(kernel: Kernel, array: Array, refine: int, sides: list[int]) -> Wide | None:

@@ -161,7 +161,7 @@ class Pipeline:
         self._recent = (*self._recent, raw)[-TARE_FRAMES:]
         chain.prepare(self.method)
         calibrated = monotonic()
-        done = chain.restore(raw, flags, self.method, Deadline(budget_s) if budget_s < inf else never)
+        done = chain.restore(raw, flags, self.method, Deadline(budget_s) if budget_s < inf else never, frame)
         restored = monotonic()
         warnings = self._check(raw, flags, done, budget_s)
         checked = monotonic()

@@ -103,7 +103,7 @@ class Playback:
         raw, flags = self._pressure(number, frame)
         if below_zero(raw, self.noise, 0.0).any():
             flags = chain.with_below_zero(raw, flags, max(self._highest(number), float(np.nanmax(raw))))
-        done = chain.restore(raw, flags, method)
+        done = chain.restore(raw, flags, method, frame=frame)
         warnings, microseconds = self.plan.warnings + flag_warnings(flags), (perf_counter() - began) * 1e6
         return chain.image(frame, raw, flags, done, microseconds=microseconds, warnings=warnings)
 

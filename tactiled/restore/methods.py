@@ -80,6 +80,11 @@ class Restorer:
         np.copyto(self._image, self._scene.inside(done.image))
         return done._replace(image=self._image)
 
+    @property
+    def surface(self) -> Image:
+        """The image restored last, of what lies beyond the array, too, where the method has it."""
+        return self._last
+
     def predicted(self) -> Image:
         """Give what the taxels (kPa, their shape) feel of what was restored last, beyond the array too."""
         array, last = self._scene.array, self._last

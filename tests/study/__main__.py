@@ -19,6 +19,7 @@ from tests.study import (
     restart,
     restore,
     sensors,
+    shear,
     soak,
     train,
     zenoh,
@@ -29,7 +30,7 @@ for measurement in (
     blind.blind, border.border, bus.bus, contacts.contacts, cover.cover, felt.felt,
     frame_times.frame_times, health.health, insole.insole, invented.invented,
     judge.judge, mistakes.mistakes, restart.restart, restore.restore, sensors.sensors,
-    sensors.sensors_against, soak.soak, train.train, zenoh.zenoh,
+    sensors.sensors_against, shear.shear, soak.soak, train.train, zenoh.zenoh,
 ):  # fmt: skip
     app.command()(measurement)
 

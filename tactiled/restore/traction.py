@@ -1,0 +1,85 @@
+"""The tangential load on a surface, from tangential readings and the image of the pressure on it.
+
+Where nothing presses nothing drags, and what drags does so about alike over a contact. So the load is the pressure
+p of the image times a smooth field of random friction, t = p m, and the image may be wrong by d, smooth and in
+proportion to it. Taxels feel both in both kinds of reading, as the cover couples them: the mean of t given the
+readings, by Gaussian process regression on t and d together, is one linear system.
+"""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from tactiled.restore.modes import Floats
+
+FRICTION = 0.35  # tangential load along an axis over pressure, standard deviation
+SHARES, ALIKE_PITCHES = (0.5, 0.35, 0.15), (np.inf, 4.0, 1.0)  # of its variance, and pitches that they go on for
+WRONG, FAINT, WRONG_PITCHES = 0.45, 0.05, 0.7  # of the image, of its peak; pitches that this goes on for
+MODEL_ERROR = 0.05  # of the largest reading: the cover's model
+PRESSED = 0.02  # of the image's peak: fainter pressure drags nothing
+
+
+class Coupled(NamedTuple):
+    """What N taxels feel of M cells of a surface (R, C): pressure, then what is along x, then along y."""
+
+    felt: Floats  # (3 N, 3 M)
+    cells: Floats  # (M, 2), pitches
+    shape: tuple[int, int]
+    own: tuple[slice, ...]  # the array's part of the surface
+
+
+class Load(NamedTuple):
+    """A tangential load on the array's cells, along x and y (2, R, C)."""
+
+    traction: NDArray[np.float32]  # kPa
+    deviation: NDArray[np.float32]  # kPa, its standard deviation
+    pressure: Floats  # (N,) kPa that it adds to what the taxels read
+
+
+class Traction:
+    """Restores tangential loads of one array."""
+
+    def __init__(self, coupled: Coupled) -> None:
+        self._coupled = coupled
+        apart = ((coupled.cells[:, None] - coupled.cells) ** 2).sum(axis=-1)
+        alike = zip(SHARES, ALIKE_PITCHES, strict=True)
+        self._friction = FRICTION**2 * sum(share * np.exp(-apart / (2 * pitches**2)) for share, pitches in alike)
+        self._wrong = WRONG**2 * np.exp(-apart / (2 * WRONG_PITCHES**2))
+
+    def __call__(self, image: NDArray[Any], readings: Floats, noise: Floats) -> Load:
+        """Restore the load under an image (R, C) of the pressure, in kPa, from readings (3, N), NaN where unknown.
+
+        `noise` (3,) is the standard deviation of a reading of each kind. An image of the array alone is taken to
+        have no pressure around it.
+        """
+        felt, cells, shape, own = self._coupled
+        size, p = len(cells), np.zeros(shape)
+        p[own if image.shape != shape else ...] = image
+        p = np.maximum(p.ravel(), 0)
+        traction, spread = np.zeros((2, size)), np.zeros((2, size))
+        there, known = p > PRESSED * p.max(), np.isfinite(readings).ravel()
+        if there.any() and known.any():
+            at = np.flatnonzero(there)
+            A = felt[known][:, np.concatenate([at, at + size, at + 2 * size])]
+            load = p[at]
+            spoiled = load + FAINT * load.max()
+            square = np.ix_(at, at)
+            friction = self._friction[square] * np.outer(load, load)
+            wrong = self._wrong[square] * np.outer(spoiled, spoiled)
+            parts = zip((wrong, friction, friction), np.split(A, 3, axis=1), strict=True)
+            covariance = np.concatenate([K @ each.T for K, each in parts])  # of loads and readings
+            largest = np.nanmax(np.abs(readings), axis=1, initial=0.0)
+            variance = np.repeat(noise**2 + (MODEL_ERROR * largest) ** 2, readings.shape[1])[known]
+            left = readings.ravel()[known] - felt[known][:, :size] @ p
+            weights = np.linalg.solve(A @ covariance + np.diag(variance), covariance.T).T
+            traction[:, at] = (weights @ left).reshape(3, -1)[1:]
+            variances = np.concatenate([K.diagonal() for K in (wrong, friction, friction)])
+            left = np.maximum(variances - (weights * covariance).sum(axis=1), 0).reshape(3, -1)
+            spread[:, at] = np.sqrt(
+                left[1:] + left[0] * (traction[:, at] / load) ** 2
+            )  # what drags is the pressure
+        spread = np.hypot(spread, FRICTION * noise[0])
+        added = felt[: readings.shape[1], size:] @ traction.ravel()
+        traction, spread = (each.reshape(2, *shape)[:, *own] for each in (traction, spread))
+        return Load(traction.astype(np.float32), spread.astype(np.float32), added)

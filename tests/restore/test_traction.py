@@ -1,0 +1,52 @@
+import numpy as np
+import pytest
+
+from tests.study import shear
+
+SKIN = 4, 6, 1.0, 0  # rows, columns, t/pitch, rubber
+QUIET = np.full(3, 0.1)
+
+
+@pytest.fixture(scope="module")
+def traction():
+    return shear.model(*SKIN)[1]
+
+
+@pytest.mark.parametrize("size", [(4, 4), (4, 6)])
+@pytest.mark.parametrize("thickness", [0.5, 1.0])
+def test_presses_with_friction_are_restored(size, thickness):
+    figures = shear.measure(*size, thickness, 8, seed=1)
+    raw, once, twice, known, _, pressure, less, _ = np.median(figures, axis=0)
+    assert max(once, twice) < 0.55 * raw
+    assert less < 0.95 * pressure
+    assert known > 0.7
+
+
+def test_an_even_drag_under_one_press_keeps_its_force(traction):
+    rows, columns = traction._coupled.shape
+    x, y = traction._coupled.cells.T
+    image = (60 * np.exp(-((x - 2.2) ** 2 + (y - 1.4) ** 2))).reshape(rows, columns)
+    load = np.concatenate([image.ravel(), 0.4 * image.ravel(), -0.2 * image.ravel()])
+    readings = (traction._coupled.felt @ load).reshape(3, -1)
+    own = image[traction._coupled.own]
+    restored = traction(image, readings, QUIET)
+    np.testing.assert_allclose(restored.traction.sum(axis=(1, 2)), own.sum() * np.array([0.4, -0.2]), rtol=0.06)
+    np.testing.assert_allclose(
+        restored.pressure, traction._coupled.felt[:24, len(x) :] @ load[len(x) :], atol=1
+    )
+    readings[:, 9] = np.nan
+    without = traction(image, readings, QUIET)
+    np.testing.assert_allclose(without.traction, restored.traction, atol=3)
+
+
+def test_nothing_drags_where_nothing_presses_or_nothing_is_known(traction):
+    rows, columns = traction._coupled.shape
+    pressed = np.full((rows, columns), 5.0)
+    for image, readings in (
+        (np.zeros((rows, columns)), np.full((3, 24), 7.0)),
+        (pressed, np.full((3, 24), np.nan)),
+    ):
+        load = traction(image, readings, QUIET)
+        assert not load.traction.any()
+        assert np.isfinite(load.deviation).all()
+        assert not load.pressure.any()
