@@ -26,7 +26,7 @@ class Surface:
         counts = np.round((high - low) / array.pitch).astype(int) * finer + finer
         x, y = ((np.arange(n) - (n - 1) / 2) * self.grain for n in counts)
         self.x, self.y = np.meshgrid(x, y)  # (rows, columns) mm from the array's centre
-        cells = np.column_stack([self.x.ravel(), self.y.ravel()]) + middle
+        self.cells = cells = np.column_stack([self.x.ravel(), self.y.ravel()]) + middle  # mm, as of the taxels
         if array.shape is None:
             response = matrix(kernel, array, cells, self.grain)
             self.sense: Sample = lambda pressure: np.asarray(response @ pressure.ravel())

@@ -1,28 +1,23 @@
-"""Shear for skins that feel it: made up, so that there is something to see; no model of a cover."""
+"""A tangential load for skins that feel it: made up, so that there is something to see."""
 
 import numpy as np
 
 from tactiled.simulate.array import Surface
 from tactiled.simulate.scenes import Floats, Scene
 
-FRICTION = 0.25  # shear over pressure where what touches slides
+FRICTION = 0.25  # load over pressure where what touches slides
 SLOW_MM_S = 2.0  # speed at which it is half of that
-SPREAD_MM = 0.3  # shear over the slope of the pressure: rubber is squeezed aside
 STEP_S = 0.01  # over which motion is looked at
 
 
 def traction(scene: Scene, surface: Surface, t: float) -> Floats:
-    """Shear (2, rows, columns) in kPa on the surface at `t` s, along x and y.
-
-    Friction along the motion of the pressure's middle, and away from where it is highest.
-    """
+    """Load (2, rows, columns) in kPa on the surface at `t` s, along x and y: as the pressure's middle moves."""
     now, before = (scene(surface.x, surface.y, at, surface.size, surface.grain) for at in (t, t - STEP_S))
     speed = (
         (_middle(now, surface) - _middle(before, surface)) / STEP_S if now.any() and before.any() else np.zeros(2)
     )
     friction = FRICTION * speed / (np.hypot(*speed) + SLOW_MM_S)
-    down, right = np.gradient(now, surface.grain)
-    return np.asarray(friction[:, None, None] * now - SPREAD_MM * np.stack([right, down]))
+    return np.asarray(friction[:, None, None] * now)
 
 
 def _middle(pressure: Floats, surface: Surface) -> Floats:

@@ -10,6 +10,7 @@ import numpy as np
 from tactiled.bus.codec import Codec, ShearCodec
 from tactiled.calibrate.counts.calibration import Calibration
 from tactiled.cover.kernel import Kernel
+from tactiled.cover.tangential import Responses, responses
 from tactiled.errors import ConfigError
 from tactiled.frames import Message
 from tactiled.geometry import Array
@@ -31,17 +32,21 @@ class Player:
     surface: Surface
     taxels: Taxels
     scenes: tuple[str, ...]
+    felt: Responses | None = None  # of a tangential load, where the skin feels it and the cover holds it
 
     def messages(self, sequence: int, t: float, now: float) -> list[Message]:
         """The messages of frame `sequence`, `t` s into the play, stamped `now` (s)."""
         scene = SCENES[self.scenes[int(t / SCENE_S) % len(self.scenes)]]
         surface = self.surface
         pressure = scene(surface.x, surface.y, t, surface.size, surface.grain)
-        counts = self.taxels.count(_sensed(surface, pressure))
-        if not isinstance(self.codec, ShearCodec):
-            return self.codec.encode(counts, sequence, now)
-        sensed = np.stack([surface.sense(each) for each in traction(scene, surface, t)])
-        return self.codec.encode_sheared(counts, self.taxels.shear(sensed), sequence, now)
+        sensed = _sensed(surface, pressure)
+        if self.felt is None or not isinstance(self.codec, ShearCodec):
+            return self.codec.encode(self.taxels.count(sensed), sequence, now)
+        load = traction(scene, surface, t).ravel()
+        ends = pressure * (np.ptp(pressure) > 0)  # an even one does not, and drives no rubber apart
+        shear = (self.felt.tangential @ load + self.felt.apart @ ends.ravel()).reshape(2, -1)
+        counts = self.taxels.count(sensed + self.felt.tilt @ load)
+        return self.codec.encode_sheared(counts, self.taxels.shear(shear), sequence, now)
 
 
 def _sensed(surface: Surface, pressure: Floats) -> Floats:
@@ -62,7 +67,9 @@ def player(
     if scene != "tour" and scene not in SCENES:
         raise ConfigError(f"scene = {scene!r}: no such scene: choose tour or one of {', '.join(SCENES)}")
     taxels = Taxels(calibration, codec.full_scale, noise_kpa, seed=0)
-    return Player(codec, Surface(kernel, array), taxels, TOUR if scene == "tour" else (scene,))
+    surface, feels = Surface(kernel, array), isinstance(codec, ShearCodec) and all(kernel.stack.bonds)
+    felt = responses(kernel.stack, array, surface.cells, surface.grain) if feels else None
+    return Player(codec, surface, taxels, TOUR if scene == "tour" else (scene,), felt)
 
 
 def answer(

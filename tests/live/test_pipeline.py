@@ -9,6 +9,7 @@ from tactiled.build import sensor_plan
 from tactiled.calibrate.sections import NoLoadSection, utc
 from tactiled.calibrate.upkeep.health import Fault
 from tactiled.config import parse
+from tactiled.config.example import SHEAR
 from tactiled.contacts.regions import Region, RegionMeter
 from tactiled.diagnostics.checks import CHECK_EVERY_FRAMES, CHECKS_IN_A_ROW
 from tactiled.diagnostics.warning_codes import warning
@@ -356,6 +357,61 @@ def test_forces_are_none_unless_all_are_known(make, settings, flag_of_tare, flag
     assert pipeline.forces(sheared(pressed(), 1, 1, flags_of({(2, 2): flag}))) is None
     assert (pipeline.forces(sheared(pressed(), 1, 1)) is not None) == known_without
     assert pipeline.forces(frame()) is None  # without shear
+
+
+def dragged(plan, share):
+    """A frame of the demo's 3-axis skin under a press that drags along x by a share of it; and the press."""
+    coupled, shape = plan.coupled, plan.coupled.shape
+    y, x = np.indices(shape)
+    pressure = 60 * np.exp(-((x - shape[1] / 2) ** 2 + (y - shape[0] / 2) ** 2) / 6)
+    load = np.concatenate([pressure.ravel(), share * pressure.ravel(), np.zeros(pressure.size)])
+    raw, *shear = (coupled.felt @ load).reshape(3, -1)
+    counts = plan.calibration.no_load + raw / plan.calibration.kpa_per_count
+    flags = np.zeros(len(raw), np.uint8)
+    shear = np.asarray(shear / plan.kpa_per_shear_count, np.float32)
+    return replace(frame(counts=counts, flags=flags), shear=shear), pressure[coupled.own]
+
+
+def test_tangential_load_is_restored_once_shear_is_tared_and_pressure_without_what_it_adds():
+    config = parse(SHEAR).sensor["skin"]
+    plan = replace(sensor_plan("skin", config), method="auto")
+    pipeline, (load, pressure) = Pipeline(plan), dragged(plan, 0.5)
+    pipeline.noise.settle(0.1)
+    before = pipeline.process(load)
+    assert before.traction is before.tilt is None
+    tare(pipeline, replace(dragged(plan, 0)[0], counts=np.full(24, 36000, np.uint16), shear=np.zeros((2, 24))))
+    image = pipeline.process(load)
+    x, y = image.traction
+    np.testing.assert_allclose(x.sum(), 0.5 * pressure.sum(), rtol=0.1)
+    assert np.linalg.norm(x - 0.5 * pressure) < 0.2 * np.linalg.norm(0.5 * pressure)
+    assert np.abs(y).max() < 0.1 * x.max()
+    assert image.traction_deviation.shape == image.traction.shape
+    wrong = [np.linalg.norm(each.restored - pressure) for each in (before, image)]
+    assert wrong[1] < 0.5 * wrong[0]
+    spread = pipeline.deviation(image)
+    assert np.linalg.norm(image.restored - pressure) < 3 * np.linalg.norm(spread)
+    raw = Pipeline(replace(plan, method="raw"))
+    raw.set_zero(pipeline.zero)
+    np.testing.assert_array_equal(raw.process(load).restored.ravel(), load_of(raw, load))
+
+
+def load_of(pipeline, load):
+    return pipeline.calibrator(load.counts, load.flags)[0][pipeline._plan.blur.taxel].ravel()
+
+
+@pytest.mark.parametrize(
+    ("setting", "change"),
+    [
+        ("shear_n_per_count = 0.00032", ""),
+        ("kpa_per_count = 0.02\n", ""),
+        ("poisson = 0.45", "poisson = 0.45\nbonded = false"),
+    ],
+)
+def test_it_is_not_where_shear_or_pressure_has_no_scale_or_the_cover_slides(setting, change):
+    text = SHEAR.replace(setting, change)
+    assert text != SHEAR
+    text = text if "kpa_per_count = " in text else text.replace("shear_n_per_count = 0.00032", "")
+    assert sensor_plan("skin", parse(text).sensor["skin"]).coupled is None
 
 
 @pytest.mark.parametrize(

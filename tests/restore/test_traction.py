@@ -31,9 +31,7 @@ def test_an_even_drag_under_one_press_keeps_its_force(traction):
     own = image[traction._coupled.own]
     restored = traction(image, readings, QUIET)
     np.testing.assert_allclose(restored.traction.sum(axis=(1, 2)), own.sum() * np.array([0.4, -0.2]), rtol=0.06)
-    np.testing.assert_allclose(
-        restored.pressure, traction._coupled.felt[:24, len(x) :] @ load[len(x) :], atol=1
-    )
+    np.testing.assert_allclose(restored.pressure, traction._coupled.felt[:24, len(x) :] @ load[len(x) :], atol=1)
     readings[:, 9] = np.nan
     without = traction(image, readings, QUIET)
     np.testing.assert_allclose(without.traction, restored.traction, atol=3)
