@@ -100,9 +100,14 @@ class MethodQuery(SensorQuery):
 class FramesQuery(MethodQuery):
     """Which frames."""
 
-    first: int | None = Field(None, ge=0, le=1 << 53, description="number of the first frame, from 0")
+    first: int | None = Field(
+        None, ge=0, le=1 << 53, description="number of the first frame, from 0; without `at`"
+    )
     at: float | None = Field(
-        None, ge=0, le=MAX_POSITION_S, description="instead: the last frame that had come at this position, s"
+        None,
+        ge=0,
+        le=MAX_POSITION_S,
+        description="instead of `first`: the last frame that had come at this position, s",
     )
     count: int = Field(1, ge=1, le=MAX_FRAMES, description="frames at most; fewer if restoring them takes long")
     step: int = Field(1, ge=1, le=100_000, description="from one frame to the next")
@@ -306,7 +311,7 @@ def make(recordings: Recordings, playbacks: Playbacks) -> APIRouter:
 
     csv = success("every frame, once all are measured", "csv")
 
-    @router.get("/series", response_model=recorded_series.Series, responses=faults | csv)
+    @router.get("/series", response_model=recorded_series.PlayedSeries, responses=faults | csv)
     async def series(name: FileName, request: Request, query: Annotated[SeriesQuery, Query()]) -> Response:
         """Force, mean, peak and contact area over a recording; the first request begins to measure its frames."""
         return await answer(request, name, query, partial(_series, playbacks, query))

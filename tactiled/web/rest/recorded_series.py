@@ -66,7 +66,7 @@ class AreaSeries(schemas.Schema):
     highest: dict[Literal["force", "mean", "peak", "area"], Highest]
 
 
-class Series(schemas.Schema):
+class PlayedSeries(schemas.Schema):
     """Values of every frame's restored image, in at most 600 pieces: of each piece the highest."""
 
     name: str = Field(examples=["grasp.log"])
@@ -125,7 +125,7 @@ def _json(run: RecordedSeries, recorded: RecordedFrames, running: bool, measured
     if not running and not run.error:
         total, *regions = (_area(name, k, run.summary) for k, name in enumerate((TOTAL, *job.regions)))
         fields |= {"position_s": run.summary.position_s.tolist(), "total": total, "regions": regions}
-    return Response(Series(**fields).model_dump_json(), media_type=MEDIA["json"])
+    return Response(PlayedSeries(**fields).model_dump_json(), media_type=MEDIA["json"])
 
 
 def _area(name: str, k: int, summary: Summary) -> AreaSeries:

@@ -63,7 +63,7 @@ class WatchedRegions(schemas.Schema):
     kept: bool = Field(description="they are there after a restart, too")
 
 
-class Series(schemas.Schema):
+class KeptSeries(schemas.Schema):
     """Values of a region, image by image; null: not known."""
 
     unit: units.Unit
@@ -117,7 +117,7 @@ def reset_region(sensor: NamedSensor, region: RegionName) -> None:
 
 
 @router.get(
-    "/{region}/series", response_model=Series, responses=problems(404) | success("one line an image", "csv")
+    "/{region}/series", response_model=KeptSeries, responses=problems(404) | success("one line an image", "csv")
 )
 def series(
     sensor: NamedSensor,
@@ -137,7 +137,7 @@ def series(
         return Response(head + _csv(kept), media_type="text/csv")
     columns = dict(zip(Measures._fields, kept.values.T.tolist(), strict=True))
     lists = {"time": kept.time.tolist(), "missing": kept.missing.tolist()}
-    content = Series(unit=kept.unit, **lists, **columns).model_dump_json()
+    content = KeptSeries(unit=kept.unit, **lists, **columns).model_dump_json()
     return Response(content, media_type="application/json")
 
 

@@ -100,6 +100,10 @@ def test_every_example_is_valid(openapi):
         assert jsonschema.Draft202012Validator(schema).is_valid(example), (place, example)
 
 
+def test_no_two_schemas_have_one_name(openapi):
+    assert not [name for name in openapi["components"]["schemas"] if "__" in name]  # FastAPI's way out of two
+
+
 def test_summaries_begin_their_descriptions(openapi):
     summaries = [each["summary"] for _, each in operations(openapi)]
     assert {"Undo the last tare", "Restore frames", "Watch a region no longer"} <= {*summaries}
