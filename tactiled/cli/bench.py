@@ -119,9 +119,6 @@ def load(
     clients: Annotated[list[int], typer.Option(help="WebSocket clients, of one array each; the same.")] = [1, 20],  # noqa: B006
     rate_hz: Annotated[list[float], typer.Option(help="Frames a second of each array; the same.")] = [100.0],  # noqa: B006
     pull: Annotated[bool, typer.Option("--pull", help="Clients ask for every image, as viewers do.")] = False,
-    readers: Annotated[
-        int, typer.Option(help="Processes that read and publish by Zenoh; 0: the server reads.", min=0, max=16)
-    ] = 0,
     seconds: Annotated[float, typer.Option(help="How long each run is measured.", min=1)] = 10.0,
 ) -> None:
     """Load a service with arrays and clients: processor time, age of images at the clients, and what is lost."""
@@ -132,11 +129,9 @@ def load(
         for each, count, hz in product(sensors, clients, rate_hz):
             if not (1 <= each <= 64 and 1 <= count <= 500 and 1 <= hz <= 1000):
                 raise ConfigError(f"{each} sensors, {count} clients, {hz:g} Hz: give 1 to 64, 1 to 500, 1 to 1000")
-            result = study.measure(each, count, hz, seconds, pull, min(readers, each))
+            result = study.measure(each, count, hz, seconds, pull)
             rows.append(study.line(each, hz, pull, result))
-    title = (
-        f"32 x 32 over CAN FD, {readers} reader processes; cores of service + clients, age from the last message"
-    )
+    title = "32 x 32 over CAN FD; cores of service + clients, age from the last message"
     print_table(title, study.HEADINGS, rows)
     print(f"{machine()}{host()}")
 

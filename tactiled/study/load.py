@@ -3,21 +3,15 @@
 import multiprocessing
 import socket
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
-from itertools import zip_longest
-from multiprocessing.connection import Connection
 from typing import Any, NamedTuple
-from urllib.parse import quote
 
 import numpy as np
 
 from tactiled.bus.codecs.packed import Packed
 from tactiled.bus.socketcan import SO_TIMESTAMPNS, FrameReader
-from tactiled.config import Config, Server, Zenoh, parse
-from tactiled.errors import ConfigError, TactileError
+from tactiled.config import Config, Server, parse
+from tactiled.errors import ConfigError
 from tactiled.frames import Message
-from tactiled.interop.zenoh_session import need
 from tactiled.live.bus_thread import BusThread
 from tactiled.live.sensor import Sensor
 from tactiled.live.service import Service
@@ -27,7 +21,6 @@ from tactiled.web.server import running
 
 WARM_UP_S = 3.0  # connections, caches and the measured noise settle
 DRAIN_S = 0.5  # after the last frame was sent
-WAIT_S = 60.0  # for sensors of other processes
 SERVER = Server(port=0, streams_per_client=0, streams=0)
 SCENE_FRAMES = 128  # of each scene, at the speed at which it moves: with those of the others a multiple of 256
 SENSORS_PER_BUS = 4  # more of 32 x 32 at 100 Hz do not fit on one bus of CAN FD
@@ -100,43 +93,26 @@ def frames_of(sensor: Sensor, rate_hz: float) -> list[list[bytes]]:
     return [[each.data for each in source.messages(n, t, 0.0)] for n, t in enumerate(times)]
 
 
-class System(NamedTuple):
-    """What is loaded: a server, and sensors in its process or in readers'."""
-
-    url: str
-    names: list[str]
-    targets: list[tuple[int, int]]  # port and id of each one's messages
-    begin: Callable[[], None]  # has readers measure their cores
-    end: Callable[[], tuple[int, float]]  # gives the messages lost, and the cores of readers
-
-
-def measure(
-    sensors: int, clients: int, rate_hz: float, seconds: float, pull: bool = False, readers: int = 0
-) -> Load:
-    """Run a service whose sensors send at `rate_hz`; client n receives sensor n modulo their number.
-
-    With `readers` so many processes read, restore and publish by Zenoh, each a part of the sensors, and this one
-    serves; else this one does it all.
-    """
+def measure(sensors: int, clients: int, rate_hz: float, seconds: float, pull: bool = False) -> Load:
+    """Run a service whose sensors send at `rate_hz`; client n receives sensor n modulo their number."""
     payloads = frames_of(Service(configuration(1)).sensor("s0"), rate_hz)
     context, span_s = multiprocessing.get_context("spawn"), seconds + WARM_UP_S
     (from_clients, to_received), (from_sender, to_sent) = (context.Pipe(duplex=False) for _ in range(2))
     flow, end = "&flow=credit" if pull else "", context.Event()
-    with _by_readers(sensors, readers) if readers else _alone(sensors) as system:
-        base = f"{system.url.replace('http', 'ws', 1)}/api/v1/sensors"
-        names = [quote(system.names[n % sensors], safe="") for n in range(clients)]
-        urls = [f"{base}/{name}/stream?kinds=restored{flow}" for name in names]
+    service, targets = _listening(sensors)
+    with service.running(), running(service, SERVER) as url:
+        base, names = f"{url.replace('http', 'ws', 1)}/api/v1/sensors", list(service.sensors)
+        urls = [f"{base}/{names[n % sensors]}/stream?kinds=restored{flow}" for n in range(clients)]
         receiver = context.Process(target=receive_all, args=(urls, pull, end, to_received), daemon=True)
         receiver.start()
         to_received.close()  # so that the end of a process ends the wait for it
         from_clients.recv()  # connected
-        sending = system.targets, payloads, rate_hz, span_s, to_sent
+        sending = targets, payloads, rate_hz, span_s, to_sent
         sender = context.Process(target=send, args=sending, daemon=True)
         sender.start()
         to_sent.close()
         from_sender.recv()  # it begins
         time.sleep(WARM_UP_S)
-        system.begin()
         busy_cores = core_meter()
         time.sleep(seconds)
         cores = busy_cores()
@@ -144,7 +120,7 @@ def measure(
         time.sleep(DRAIN_S)
         end.set()
         arrivals, client_cores = from_clients.recv()
-        lost, reader_cores = system.end()
+        lost = sum(each.status().loss.lost for each in service.sensors.values())
         for each in (sender, receiver):
             each.join()
     first = round(WARM_UP_S * rate_hz)
@@ -152,7 +128,7 @@ def measure(
         np.array([1e3 * (at - send_times[n % sensors][k]) for k, at in own if k >= first])
         for n, own in enumerate(arrivals)
     ]
-    return Load(len(send_times[0]) - first, lost, ages_ms, cores + reader_cores, client_cores)
+    return Load(len(send_times[0]) - first, lost, ages_ms, cores, client_cores)
 
 
 def _listening(sensors: int) -> tuple[Service, list[tuple[int, int]]]:
@@ -168,74 +144,6 @@ def _listening(sensors: int) -> tuple[Service, list[tuple[int, int]]]:
     service = Service(configuration(sensors), listen)
     plans = [each.plan for each in service.sensors.values()]
     return service, [(sockets[each.bus].port, each.codec.id) for each in plans if isinstance(each.codec, Packed)]
-
-
-def _lost(service: Service) -> int:
-    return sum(each.status().loss.lost for each in service.sensors.values())
-
-
-@contextmanager
-def _alone(sensors: int) -> Iterator[System]:
-    """Read, restore and serve in one process."""
-    service, targets = _listening(sensors)
-    with service.running(), running(service, SERVER) as url:
-        yield System(url, list(service.sensors), targets, lambda: None, lambda: (_lost(service), 0.0))
-
-
-@contextmanager
-def _by_readers(sensors: int, readers: int) -> Iterator[System]:
-    """Serve what other processes read and restore."""
-    need("--readers")
-    from tactiled.interop.zenoh_fleet import Fleet
-
-    with socket.socket() as free:
-        free.bind(("127.0.0.1", 0))
-        endpoint = f"tcp/127.0.0.1:{free.getsockname()[1]}"
-    fleet, context = Fleet(Zenoh(listen=(endpoint,)), SERVER), multiprocessing.get_context("spawn")
-    pipes, processes = [], []
-    with fleet.running(), running(fleet, SERVER) as url:
-        for number in range(readers):
-            ours, theirs = context.Pipe()
-            count = sensors // readers + (number < sensors % readers)
-            process = context.Process(target=_read, args=(endpoint, f"r{number}", count, theirs), daemon=True)
-            process.start()
-            processes.append(process)
-            theirs.close()
-            pipes.append(ours)
-        rows = zip_longest(*[each.recv() for each in pipes])  # the readers' load is even over a period
-        targets = [each for row in rows for each in row if each is not None]
-        end = time.monotonic() + WAIT_S
-        while len(fleet.sensors) < sensors:
-            if time.monotonic() > end:
-                raise TactileError(f"{len(fleet.sensors)} of {sensors} sensors reached the server in {WAIT_S:g} s")
-            time.sleep(0.01)
-        names = sorted(fleet.sensors, key=lambda name: [int(part[1:]) for part in reversed(name.split("/"))])
-
-        def say(word: str) -> None:
-            for each in pipes:
-                each.send(word)
-
-        def finish() -> tuple[int, float]:
-            say("end")
-            results = [each.recv() for each in pipes]
-            for each in processes:
-                each.join()
-            return sum(lost for lost, _ in results), sum(cores for _, cores in results)
-
-        yield System(url, names, targets, lambda: say("begin"), finish)
-
-
-def _read(endpoint: str, robot: str, sensors: int, pipe: Connection) -> None:
-    """Read, restore and publish; then the messages lost, and the cores that it kept busy."""
-    from tactiled.web.server import publishing
-
-    service, targets = _listening(sensors)
-    with service.running(), publishing(service, SERVER, Zenoh(connect=(endpoint,), robot=robot)):
-        pipe.send(targets)
-        pipe.recv()  # begin
-        busy_cores = core_meter()
-        pipe.recv()  # end
-        pipe.send((_lost(service), busy_cores()))
 
 
 def line(sensors: int, rate_hz: float, pull: bool, result: Load) -> tuple[str, ...]:

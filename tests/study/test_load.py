@@ -4,10 +4,10 @@ import pytest
 from tactiled.study import load
 
 
-@pytest.mark.parametrize(("sensors", "clients", "pull", "readers"), [(1, 2, True, 0), (2, 2, False, 1)])
-def test_every_clients_images_are_aged_and_every_message_is_counted(monkeypatch, sensors, clients, pull, readers):
+@pytest.mark.parametrize(("sensors", "clients", "pull"), [(1, 2, True), (2, 2, False)])
+def test_every_clients_images_are_aged_and_every_message_is_counted(monkeypatch, sensors, clients, pull):
     monkeypatch.setattr(load, "WARM_UP_S", 0.5)
-    result = load.measure(sensors, clients, 20.0, 1.0, pull, readers)
+    result = load.measure(sensors, clients, 20.0, 1.0, pull)
     assert (result.frames, len(result.ages_ms)) == (20, clients)
     assert all(0 < len(each) <= 20 and each.min() > 0 for each in result.ages_ms)
     assert result.cores > 0
