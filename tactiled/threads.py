@@ -16,7 +16,7 @@ def limit_heaps() -> None:
     """Have all threads that are not started yet share two heaps; nothing where the C library is not glibc.
 
     By default glibc has up to eight heaps a core. Threads that come and go use all of them, and each keeps memory
-    that is free but lies between blocks in use: `python -m tests.study soak` shows what that adds up to.
+    that is free but lies between blocks in use: `python -m tests.bench soak` shows what that adds up to.
     """
     with suppress(AttributeError):
         ctypes.CDLL(None).mallopt(M_ARENA_MAX, MAX_HEAPS)

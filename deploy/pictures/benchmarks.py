@@ -4,8 +4,8 @@ from pathlib import Path
 
 from threadpoolctl import threadpool_limits
 
-from tactiled.study import faults, frontier, stability
-from tactiled.study.skin import rubber
+from tactiled.bench import faults, frontier, stability
+from tactiled.bench.skin import rubber
 
 SWEEPS = ("cover", "white noise", "thickness wrong", "dead taxels", "over the edge", "taxels out of place")
 FOLDER = Path(__file__).parent

@@ -4,9 +4,9 @@ from pathlib import Path
 
 import numpy as np
 
+from tactiled.charts.style import COLOURS, MARKS, figure
 from tactiled.cover.layered import gain
 from tactiled.cover.stack import Layer, Stack
-from tactiled.study.charts import COLOURS, MARKS, figure
 
 BOARD = Layer(thickness=1.6, young=20_000.0, poisson=0.3)
 

@@ -5,10 +5,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from tactiled.bench.skin import Skin, rubber
+from tactiled.charts.style import figure
 from tactiled.restore.methods import make
 from tactiled.simulate.scenes import touch
-from tactiled.study.charts import figure
-from tactiled.study.skin import Skin, rubber
 
 Floats = NDArray[np.float64]
 THICKNESS = 2.0  # pitches; the pitch is 1 mm

@@ -11,13 +11,13 @@ from rich.console import Console
 from rich.table import Table
 from threadpoolctl import threadpool_limits
 
+from tactiled.bench.results import host_meter, machine, make_folder
 from tactiled.errors import ConfigError
-from tactiled.study.results import host_meter, machine, make_folder
 
 if TYPE_CHECKING:
-    from tactiled.study.skin import Skin
+    from tactiled.bench.skin import Skin
 
-# Every verb imports its own part of `study`: matplotlib and scikit-image take a second.
+# Every verb imports its own part of `bench`: matplotlib and scikit-image take a second.
 Config = Annotated[Path | None, typer.Option(help="Configuration whose array and cover to measure.")]
 Sensor = Annotated[str | None, typer.Option(help="Its sensor; the first if left out.")]
 Out = Annotated[Path, typer.Option(help="Folder for charts and tables.")]
@@ -29,7 +29,7 @@ OUT = Path("bench")
 @contextmanager
 def _measuring(folder: Path, config: Path | None, sensor: str | None) -> "Iterator[list[Skin]]":
     """Make the folder for the results; on one thread, give the configured skin, or none."""
-    from tactiled.study.skin import configured
+    from tactiled.bench.skin import configured
 
     make_folder(folder)
     with threadpool_limits(1):
@@ -40,13 +40,13 @@ def frontier(
     config: Config = None, sensor: Sensor = None, out: Out = OUT, reduced: Reduced = False, seed: Seed = 1
 ) -> None:
     """Chart error against time for every method of ours and for others', in one run on one thread."""
-    from tactiled.study import frontier as study
+    from tactiled.bench import frontier as bench
 
     with _measuring(out, config, sensor) as skins:
-        panels = study.measure(skins, reduced, seed)
-    study.write(out, panels, seed)
-    print_table("NRMSE, and median time of a frame", study.HEADINGS, study.lines(panels))
-    print(*study.verdict(panels), f"Seed {seed}. One thread. {machine()}", sep="\n")
+        panels = bench.measure(skins, reduced, seed)
+    bench.write(out, panels, seed)
+    print_table("NRMSE, and median time of a frame", bench.HEADINGS, bench.lines(panels))
+    print(*bench.verdict(panels), f"Seed {seed}. One thread. {machine()}", sep="\n")
     print(f"Written: {out}/frontier.svg, frontier.csv, frontier.json")
 
 
@@ -54,14 +54,14 @@ def stability(
     config: Config = None, sensor: Sensor = None, out: Out = OUT, reduced: Reduced = False, seed: Seed = 1
 ) -> None:
     """Let one thing after another go wrong, and show where each method becomes worse than the raw image."""
-    from tactiled.study import stability as study
+    from tactiled.bench import stability as bench
 
     with _measuring(out, config, sensor) as skins:
-        results = study.measure(study.setting(reduced, seed, *skins))
-    study.write(out, results, seed)
-    title = f"Methods whose mean error is over {study.WORSE:g} times the raw image's"
-    print_table(title, study.HEADINGS, study.lines(results))
-    print(*study.verdict(results), f"Seed {seed}. One thread. {machine()}", sep="\n")
+        results = bench.measure(bench.setting(reduced, seed, *skins))
+    bench.write(out, results, seed)
+    title = f"Methods whose mean error is over {bench.WORSE:g} times the raw image's"
+    print_table(title, bench.HEADINGS, bench.lines(results))
+    print(*bench.verdict(results), f"Seed {seed}. One thread. {machine()}", sep="\n")
     print(f"Written: {out}/stability.svg, calibration.svg, stability.csv, stability.json")
 
 
@@ -73,11 +73,11 @@ def picard(
     seed: Seed = 1,
 ) -> None:
     """Draw the singular values of an array under its cover, and which of a scene's modes rise above the noise."""
-    from tactiled.study import picard as study
+    from tactiled.bench import picard as bench
 
     with _measuring(out, config, sensor) as skins:
-        modes = study.measure(skins, noise / 100, seed)
-    study.write(out, modes)
+        modes = bench.measure(skins, noise / 100, seed)
+    bench.write(out, modes)
     for one in modes:
         print(
             f"{one.skin}: {one.clear} of {one.singular.size} modes of the scene {one.scene!r} rise above a noise"
@@ -93,13 +93,13 @@ def calibration(
     seed: Seed = 1,
 ) -> None:
     """Calibrate simulated skins whose gains and covers are known, and hold the results against the truth."""
-    from tactiled.study import calibration as study
+    from tactiled.bench import calibration as bench
 
     make_folder(out)
     with threadpool_limits(1):
-        results = study.measure(trials, seed, way)
-    study.write(out, results)
-    print_table(f"Calibration of {trials} simulated skins", study.HEADINGS, study.lines(results))
+        results = bench.measure(trials, seed, way)
+    bench.write(out, results)
+    print_table(f"Calibration of {trials} simulated skins", bench.HEADINGS, bench.lines(results))
     print(f"Seed {seed}. One thread. {machine()}")
     print(f"Written: {out}/calibration_trials.svg, calibration_trials.csv")
 
@@ -108,7 +108,7 @@ def report(
     config: Config = None, sensor: Sensor = None, out: Out = OUT, reduced: Reduced = False, seed: Seed = 1
 ) -> None:
     """Measure speed, accuracy, limits and failures, and write one page that holds all charts and tables."""
-    from tactiled.study.report import write
+    from tactiled.bench.report import write
 
     with _measuring(out, config, sensor) as skins:
         print(write(out, skins, reduced, seed))
@@ -122,17 +122,17 @@ def load(
     seconds: Annotated[float, typer.Option(help="How long each run is measured.", min=1)] = 10.0,
 ) -> None:
     """Load a service with arrays and clients: processor time, age of images at the clients, and what is lost."""
-    from tactiled.study import load as study
+    from tactiled.bench import load as bench
 
     rows, host = [], host_meter()
     with threadpool_limits(1):
         for each, count, hz in product(sensors, clients, rate_hz):
             if not (1 <= each <= 64 and 1 <= count <= 500 and 1 <= hz <= 1000):
                 raise ConfigError(f"{each} sensors, {count} clients, {hz:g} Hz: give 1 to 64, 1 to 500, 1 to 1000")
-            result = study.measure(each, count, hz, seconds, pull)
-            rows.append(study.line(each, hz, pull, result))
+            result = bench.measure(each, count, hz, seconds, pull)
+            rows.append(bench.line(each, hz, pull, result))
     title = "32 x 32 over CAN FD; cores of service + clients, age from the last message"
-    print_table(title, study.HEADINGS, rows)
+    print_table(title, bench.HEADINGS, rows)
     print(f"{machine()}{host()}")
 
 

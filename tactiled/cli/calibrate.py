@@ -64,7 +64,7 @@ def gain(
     (load,) = (f"{key.replace('_', ' ')} {getattr(value, 'name', value)}" for key, value in loads.items())
     new = gain_sections(fit, noise(series.counts), made_from(file, f"gain: {load}"[:200]))
     if plot is not None:
-        from tactiled.study.gain_chart import draw  # matplotlib takes a second
+        from tactiled.charts.gain import draw  # matplotlib takes a second
 
         draw(plot, fit)
     update(out, before, name, one, new)

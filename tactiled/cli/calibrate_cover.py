@@ -66,7 +66,7 @@ def cover(
         places_mm = None if places is None else _places(places)
         fit = fit_touch(recorded, way, size_mm, sphere, places_mm, _unknowns(error or []))
         if plot is not None:
-            from tactiled.study.cover_chart import draw  # matplotlib takes a second
+            from tactiled.charts.cover import draw  # matplotlib takes a second
 
             draw(plot, fit, recorded.stack)
     section = _section(fit if measured else replace(fit, kernel=None), recorded.stack, file)

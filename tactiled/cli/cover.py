@@ -184,11 +184,11 @@ def _show_press(radius: float | None, press: Press) -> None:
 
 def _plot(path: Path, kernel: Kernel) -> None:
     """Draw the kernel beside the other model's, which is of flat layers only."""
-    from tactiled.study import charts  # matplotlib takes half a second that only this option needs
+    from tactiled.charts.style import two_models  # matplotlib takes half a second that only this option needs
 
     if kernel.profile:
         raise ConfigError("--plot draws both models, and the exact one has no --profile: leave one of them out")
     kernels = {
         model: kernel if model == kernel.model else solve(kernel.stack, model) for model in ("fem", "layered")
     }
-    charts.two_models(path, kernels["fem"], kernels["layered"])
+    two_models(path, kernels["fem"], kernels["layered"])

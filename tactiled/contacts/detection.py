@@ -15,7 +15,7 @@ from tactiled.units import FORCE_SCALES, PRESSURE, Unit
 
 Labels = NDArray[np.int64]
 
-# `python -m tests.study contacts` measures what these bounds find and split.
+# `python -m tests.bench contacts` measures what these bounds find and split.
 BEGIN_SIGMAS = 5.0  # noise standard deviations from which a contact begins
 CONTINUE_SIGMAS = 3.0  # down to which it may fall and go on; and depth of a dip that is not chance
 NEAR_PITCHES = 8.0  # within which a peak counts in full, and restoration may ring round it
@@ -112,7 +112,7 @@ class Finder:
     ) -> Contact:
         """Measure a contact: force and place with the skirt round the cells that are clearly pressed.
 
-        The errors of its cells count as independent: in `tests.study border` 94 % of the forces are within two
+        The errors of its cells count as independent: in `tests.bench border` 94 % of the forces are within two
         deviations, as they are of cells.
         """
         area = self._cells.side**2

@@ -12,7 +12,7 @@ from tactiled.arrays import Flags, Floats32, Mask, Reals
 from tactiled.frames import BELOW_ZERO, MISSING, UNKNOWN
 from tactiled.restore.blur import Blur
 
-# `python -m tests.study felt` measures what is wrong at each share.
+# `python -m tests.bench felt` measures what is wrong at each share.
 MIN_CELL_SHARE = 0.2  # with less an image misses over half of the pressure on a cell
 MIN_SUM_SHARE = 0.8  # of a region or contact, whose force is then right to 15 % in nine of ten
 MIN_REACH = 1e-6  # of the most that taxels feel of a cell: of a cell with less nothing is known

@@ -17,7 +17,7 @@ from tactiled.cover import elements, line
 from tactiled.cover.stack import Profile, Stack
 from tactiled.errors import PhysicsError
 
-# Chosen on random stacks against the exact gain: `python -m tests.study cover`.
+# Chosen on random stacks against the exact gain: `python -m tests.bench cover`.
 FLOOR = 1e-3  # the accuracy holds up to where the gain stays under this
 FOOTPRINT = 0.25  # the footprint's radius, and
 CORE = 0.75  # the radius of the mesh's even core, both times the frequency where the gain ends

@@ -1,6 +1,6 @@
 """A small learned network, unrolled: three times it redraws the image, then holds it to the frame again.
 
-Trained by `python -m tests.study train` on scenes and arrays that no claim is made on, some with faults. It draws
+Trained by `python -m tests.bench train` on scenes and arrays that no claim is made on, some with faults. It draws
 the logarithm of its image's deviation, too.
 """
 

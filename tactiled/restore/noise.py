@@ -11,7 +11,7 @@ MAD_TO_SIGMA = 1.4826  # a normal deviate's standard deviation over its median a
 MIN_OVER_PEAK = 1e-4  # of the largest pressure: the noise assumed where the frames show none
 UNRELATED_STEP = 0.5  # of the frames' mean square: successive frames that differ by more are not one recording
 PRESSED_MEAN = 0.02  # of the mean square is the squared mean, at least, where something is pressed
-NOISY_RATIO = 2.0  # to the common noise; of healthy taxels it was 1.5 at most on the tours of `tests.study health`
+NOISY_RATIO = 2.0  # to the common noise; of healthy taxels it was 1.5 at most on the tours of `tests.bench health`
 QUIET_RATIO = 1.6  # below which a noisy taxel is so no more
 CHANGED_RATIO = 1.25  # by which a noisy taxel's noise changes before that matters
 

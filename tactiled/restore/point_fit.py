@@ -8,7 +8,7 @@ from tactiled.core import points
 from tactiled.restore.modes import Floats, Image
 from tactiled.restore.point_response import PointResponse
 
-# All chosen on the scenes of `python -m tests.study judge --family first`.
+# All chosen on the scenes of `python -m tests.bench judge --family first`.
 MAX_POINTS = 7
 MAX_STEPS = 3  # places that are tried: those read off an image, and two moves on; the last step is a linear one
 SETTLED = 0.05  # pitches: a smaller step is left to the linear one

@@ -15,7 +15,7 @@ from tactiled.restore.point_fit import MAX_POINTS, Fit, Fitter
 from tactiled.restore.point_image import MIN_PLACE_ERROR, MODEL_ERROR, PointImage, PointLoads
 from tactiled.restore.scene import Scene
 
-# Chosen on the scenes of `python -m tests.study judge --family first` and on those that the network is trained on.
+# Chosen on the scenes of `python -m tests.bench judge --family first` and on those that the network is trained on.
 MIN_SIDE = 3  # taxels a side that tell a place on it
 MIN_SENSITIVITY = 3.0 * MODEL_ERROR  # that a quarter of a pitch changes of a load's frame, or no place is known
 MAX_SPREAD_CELLS = 5.7  # that a point's pressure is spread over in an image of them

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from tactiled.core import coefficients
 from tactiled.restore.modes import Floats, Image, Modes, Transform
 
-# The family was chosen on the scenes of `python -m tests.study judge --family first`.
+# The family was chosen on the scenes of `python -m tests.bench judge --family first`.
 CORNERS = (0.02, 0.06, 0.2, 0.6)  # q0, cycles a cell: from one wide press to points
 POWERS = (1.25, 1.75)  # p, on either side of 1.5, the fall of a sharp edge in the plane
 LEVELS = 4.0 ** np.arange(-2, 19)  # A over the noise's variance: from no signal to noise of 1e-4 of it all

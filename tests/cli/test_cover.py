@@ -5,10 +5,10 @@ import pytest
 from matplotlib.figure import Figure
 
 from tactiled.calibrate.calibration_file import save
+from tactiled.charts.style import figure
 from tactiled.config.example import EXAMPLE
 from tactiled.cover.layered import gain
 from tactiled.cover.stack import Layer, Stack
-from tactiled.study.charts import figure
 from tests.calibrate.files import calibration_file, cover_section
 from tests.cli.commands import refusal, succeed
 

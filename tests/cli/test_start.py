@@ -14,7 +14,7 @@ from tactiled.cli.verbs import BENCH_VERBS, CALIBRATE_VERBS, VERBS, CalibrateVer
 from tactiled.config.example import EXAMPLE
 from tests.cli.commands import succeed
 
-HEAVY = ("fastapi", "starlette", "uvicorn", "tactiled.web", "matplotlib", "skimage", "tactiled.study")
+HEAVY = ("fastapi", "starlette", "uvicorn", "tactiled.web", "matplotlib", "skimage", "tactiled.bench")
 SILENT_BUS = "--interface virtual --channel nobody --seconds 0.05"
 TABLES = [
     [
@@ -82,7 +82,7 @@ def test_a_service_with_a_cached_kernel_imports_no_solver_and_nothing_that_only_
     collects, *names = output.split()
     assert collects == "True"
     assert "tactiled.calibrate.counts.force_gain" in names  # which the process of a fit imports
-    unused = "skfem", "skimage", "matplotlib", "scipy.ndimage", "scipy.stats", "tactiled.study", "rerun", "rosbags"
+    unused = "skfem", "skimage", "matplotlib", "scipy.ndimage", "scipy.stats", "tactiled.bench", "rerun", "rosbags"
     assert not of(names, *unused)
 
 

@@ -6,8 +6,8 @@ from tactiled.diagnostics.checks import CHECK_EVERY_FRAMES, CHECKS_IN_A_ROW, Fra
 from tactiled.frames import DEAD, SATURATED
 from tactiled.restore.methods import make
 from tactiled.simulate.array import FINER, Surface
+from tests.bench.presses import presses
 from tests.plans import plan
-from tests.study.presses import presses
 
 SIDE, NOISE = 20, 0.5
 SOUND = np.zeros((SIDE, SIDE), np.uint8)

@@ -3,9 +3,9 @@ import pytest
 
 from tactiled.cover.family import CoverFamily
 from tactiled.diagnostics.cover_thickness import fitting_thickness
+from tests.bench.presses import presses
 from tests.diagnostics.test_checks import NOISE, SIDE, sense, stuck_taxel
 from tests.plans import plan
-from tests.study.presses import presses
 
 CONFIGURED_MM = 1.5
 

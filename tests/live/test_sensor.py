@@ -3,9 +3,9 @@ from threading import Event, get_ident
 import numpy as np
 import pytest
 
+from tactiled.bench.load import configuration
 from tactiled.live.sensor import Sensor
 from tactiled.live.service import Service
-from tactiled.study.load import configuration
 from tests.conftest import BUSY_S, Clock, until
 from tests.live.conftest import Timed, frame
 

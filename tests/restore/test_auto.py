@@ -3,11 +3,11 @@ import re
 import numpy as np
 import pytest
 
+from tactiled.bench.skin import nrmse, rubber, sense
 from tactiled.frames import DEAD
 from tactiled.restore.auto import WORTH
 from tactiled.restore.methods import METHODS, make
-from tactiled.study.skin import nrmse, rubber, sense
-from tests.study.presses import presses
+from tests.bench.presses import presses
 
 SIGMA = 0.5
 SHAPE = (24, 24)

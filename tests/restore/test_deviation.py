@@ -5,10 +5,10 @@ from copy import copy
 import numpy as np
 import pytest
 
+from tactiled.bench.skin import rubber
 from tactiled.restore import wiener
 from tactiled.restore.methods import make
-from tactiled.study.skin import rubber
-from tests.study.presses import presses
+from tests.bench.presses import presses
 
 SIZE = 12
 SIGMA = 0.5

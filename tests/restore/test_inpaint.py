@@ -5,12 +5,12 @@ from itertools import product
 import numpy as np
 import pytest
 
+from tactiled.bench.scenes import TEST_SCENES
+from tactiled.bench.skin import draw, misconfigured, nrmse, rubber, sense
 from tactiled.frames import MISSING
 from tactiled.restore.inpaint import Inpainter
 from tactiled.restore.methods import make
 from tactiled.restore.noise import detection_threshold
-from tactiled.study.scenes import TEST_SCENES
-from tactiled.study.skin import draw, misconfigured, nrmse, rubber, sense
 
 SIZE = 16
 SCENES = [each for each in TEST_SCENES if each != "points"]  # whose fit stands or falls by one taxel

@@ -3,15 +3,15 @@
 import numpy as np
 import pytest
 
+from tactiled.bench.skin import nrmse, rubber
 from tactiled.restore import learned
 from tactiled.restore.methods import make
 from tactiled.restore.scene import Scene
 from tactiled.restore.wiener import Wiener
-from tactiled.study.skin import nrmse, rubber
+from tests.bench.judge import own
+from tests.bench.presses import FAMILIES, presses
+from tests.bench.train import Skin, arrays, network, samples
 from tests.plans import plan
-from tests.study.judge import own
-from tests.study.presses import FAMILIES, presses
-from tests.study.train import Skin, arrays, network, samples
 
 
 @pytest.fixture(scope="module")

@@ -4,7 +4,7 @@ import pytest
 from tactiled.errors import ConfigError
 from tactiled.frames import BAD, DEAD, MISSING, SATURATED
 from tactiled.restore.methods import METHODS, make, named
-from tests.study.presses import presses
+from tests.bench.presses import presses
 
 SIGMA = 0.5
 RESTORING = [name for name in METHODS if name != "raw"]

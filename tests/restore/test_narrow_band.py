@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
+from tactiled.bench.skin import nrmse, rubber, sense
 from tactiled.restore.methods import make
 from tactiled.restore.narrow_band import FALSE_ALARMS, NarrowBand
-from tactiled.study.skin import nrmse, rubber, sense
 
 SIDE = 32
 

@@ -5,12 +5,12 @@ import pytest
 from scipy.signal import fftconvolve
 from skimage import restoration
 
+from tactiled.bench.skin import psf_of
 from tactiled.cover.operator import stencil
 from tactiled.restore.prior import Spectrum
 from tactiled.restore.scene import Scene
 from tactiled.restore.solvers import richardson_lucy
 from tactiled.restore.wiener import Wiener
-from tactiled.study.skin import psf_of
 from tests.plans import plan
 
 SIDE = 32

@@ -5,9 +5,9 @@ from copy import copy
 import numpy as np
 import pytest
 
+from tactiled.bench.skin import nrmse, rubber, sense
 from tactiled.restore.methods import make
 from tactiled.simulate.scenes import SCENES
-from tactiled.study.skin import nrmse, rubber, sense
 
 SIZE = 20
 

@@ -5,13 +5,13 @@ import pytest
 from scipy.optimize import minimize
 from skimage.restoration import denoise_tv_chambolle
 
+from tactiled.bench.skin import nrmse
 from tactiled.restore import total_variation
 from tactiled.restore.methods import make
 from tactiled.restore.scene import FORCE_AGREES_SIGMAS, Scene
 from tactiled.restore.total_variation import VARIANCE_POWER, VARIATION_WEIGHT, Edges, TotalVariation
 from tactiled.restore.wiener import Wiener
-from tactiled.study.skin import nrmse
-from tests.study.presses import presses
+from tests.bench.presses import presses
 
 SIGMA = 0.5
 

@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from tests.study import shear
+from tests.bench import shear
 
 SKIN = 4, 6, 1.0, 0  # rows, columns, t/pitch, rubber
 QUIET = np.full(3, 0.1)

@@ -5,11 +5,11 @@ from itertools import product
 import numpy as np
 import pytest
 
+from tactiled.bench.scenes import TEST_SCENES
+from tactiled.bench.skin import draw, nrmse, rubber, sense
 from tactiled.restore.methods import make
 from tactiled.restore.points import Points
 from tactiled.restore.scene import Scene
-from tactiled.study.scenes import TEST_SCENES
-from tactiled.study.skin import draw, nrmse, rubber, sense
 from tests.plans import plan
 
 SIZE = 20

@@ -17,7 +17,7 @@ from tactiled.calibrate.upkeep.blocks import DIFFERENCE_VARIANCE, KNOWN_BLOCKS, 
 from tactiled.calibrate.upkeep.neighbourhood import SHARE, Neighbourhood
 from tactiled.geometry import Array
 
-# `python -m tests.study health` counts faults found on healthy arrays and the frames until a fault is found.
+# `python -m tests.bench health` counts faults found on healthy arrays and the frames until a fault is found.
 NEIGHBOUR_PITCHES = 1.6  # distance of a neighbour: the eight around a taxel of a grid
 OPPOSITE_PITCHES = 0.3  # from a taxel to the middle of two opposite neighbours
 LOADED_SIGMAS, LOADED = 8.0, 0.02  # noise standard deviations, and part of full scale, that a loaded neighbour has

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from tactiled import surface
+from tactiled.bench.presses import KPA_PER_COUNT, Disc, simulated_skin
 from tactiled.calibrate.counts.force_gain import fit_force, fit_weight, reach_of
 from tactiled.calibrate.counts.means import Rails
 from tactiled.calibrate.counts.reference import Reference
@@ -13,7 +14,6 @@ from tactiled.cover.stack import Layer, Stack
 from tactiled.errors import ConfigError
 from tactiled.geometry import grid, layout
 from tactiled.guided.gain_procedure import _gain_line, _outcome
-from tactiled.study.presses import KPA_PER_COUNT, Disc, simulated_skin
 from tests.calibrate.counts.skins import FULL_KPA, RATE_HZ, Skin, contact
 
 ARRAY = grid(16, 16, 2.0)

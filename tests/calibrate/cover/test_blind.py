@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from tactiled.bench.presses import Disc, press_series, simulated_skin
 from tactiled.calibrate.counts.calibration import Calibration
 from tactiled.calibrate.counts.frame_series import FrameSeries
 from tactiled.calibrate.cover import blind, deblur
@@ -24,7 +25,6 @@ from tactiled.cover.stack import Layer, Stack
 from tactiled.geometry import grid, layout
 from tactiled.simulate.array import Surface
 from tactiled.simulate.scenes import SCENES
-from tactiled.study.presses import Disc, press_series, simulated_skin
 from tests.calibrate.files import gain_section
 
 SIZE, NOISE = 20, 0.1

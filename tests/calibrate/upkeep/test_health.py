@@ -11,8 +11,7 @@ from tactiled.calibrate.upkeep.neighbourhood import SHARE, Neighbourhood
 from tactiled.frames import Loss, RawFrame
 from tactiled.geometry import layout
 from tactiled.simulate.array import Surface
-from tests.plans import plan
-from tests.study.health import (
+from tests.bench.health import (
     FAULTY,
     FULL_SCALE,
     NO_LOAD,
@@ -26,6 +25,7 @@ from tests.study.health import (
     noisy,
     play,
 )  # fmt: skip
+from tests.plans import plan
 
 
 @pytest.mark.parametrize(

@@ -3,8 +3,8 @@ import pytest
 
 from tactiled.calibrate.upkeep.map_monitor import WINDOW_FRAMES, MapMonitor
 from tactiled.simulate.array import Surface
+from tests.bench.health import KPA_PER_COUNT, NO_LOAD, Run
 from tests.plans import plan
-from tests.study.health import KPA_PER_COUNT, NO_LOAD, Run
 
 SIDE, NOISE = 12, 0.3
 TABLE = np.arange(SIDE**2).reshape(SIDE, SIDE)
