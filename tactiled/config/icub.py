@@ -3,7 +3,8 @@
 Sources: robots-configuration (*/hardware/skin/*-skinSpec.xml: boards by CAN port, their type, period and no load,
 and sets of triangles with shift and offset; *-skin.xml: the boards of a port); icub-main
 (app/skinGui/conf/skinGui/*.ini and src/tools/iCubSkinGui/plugin: SkinMeshThreadPort.cpp for the columns,
-Triangle_10pad.h for how a triangle is placed; app/skinGui/conf/positions/*.txt: taxels in m, twelve a triangle).
+Triangle_10pad.h for how a triangle is placed, Fingertip3Left.h and Fingertip3Right.h for fingertips laid flat;
+app/skinGui/conf/positions/*.txt: taxels in m, twelve a triangle).
 """
 
 import json
@@ -11,6 +12,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import groupby
+from math import floor
 from pathlib import Path
 from typing import NamedTuple
 from xml.etree import ElementTree
@@ -23,7 +25,24 @@ from tactiled.config.load import parse
 from tactiled.errors import ConfigError
 
 TRIANGLES = 16  # of a board
-TRIANGULAR = ("triangle_10pad", "triangle")  # kinds of sensors of the .ini that are placed as one triangle
+APERTURE_MM = 4.4  # of a triangle's taxels
+DRAWN_MM = 2.7 / 15.3  # of a unit in which skinGui draws fingertips
+LEFT_TIP = (
+    (30, -20), (0, -20), (-30, -20), (-45, -39), (45, -39), (-30, -58),
+    (0, -58), (30, -58), (25, 10), (0, 0), (-25, 10), (0, 40),
+)  # fmt: skip
+RIGHT_TIP = (
+    (0, 40), (25, 10), (0, 0), (-25, 10), (-30, -20), (0, -20),
+    (30, -20), (-45, -39), (45, -39), (30, -58), (0, -58), (-30, -58),
+)  # fmt: skip
+TRIANGLE_MM, LEFT_MM, RIGHT_MM = (
+    np.array(PAD_POSITIONS) / UNITS_PER_MM, np.array(LEFT_TIP) * DRAWN_MM, np.array(RIGHT_TIP) * DRAWN_MM
+)  # fmt: skip
+# Kinds of sensors of the .ini that have twelve pads: where those are, and whether a mirrored one differs.
+PLACED = {
+    "triangle_10pad": (TRIANGLE_MM, True), "triangle": (TRIANGLE_MM, True),
+    "fingertip3l": (LEFT_MM, True), "fingertip3r": (RIGHT_MM, False),
+}  # fmt: skip
 FLAT_MM = 1.0  # by which the taxels of a flat part may differ in height
 Positions = Mapping[int, NDArray[np.float64]]  # (PADS, 2) mm, x to the right, y down, by number on the part
 HEAD = """\
@@ -44,7 +63,7 @@ bus = "can{number}"
 {codec}
 
 [sensor.{name}.array]
-aperture_mm = 4.4                      # as icub-main's skinGui draws them
+aperture_mm = {aperture:.1f}                      # as icub-main's skinGui draws them
 {positions}
 [sensor.{name}.cover]                  # EDIT: the foam over the taxels
 thickness_mm = 2.0
@@ -102,9 +121,10 @@ def configuration(spec: Path, positions: Path | None = None) -> str:
     for address, numbers in groups:
         name = part if len(groups) == 1 else f"{part}_{address.board}_{numbers[0]}"
         codec = _codec(found, address, numbers)
-        lines = "" if placed is None else _positions(codec, placed[address])
+        pads = None if placed is None else _pads(codec, placed[address])
+        lines, aperture = "" if pads is None else _positions(pads), _aperture(pads)
         number = ports.index(address.port)
-        text += SENSOR.format(name=name, number=number, codec=_settings(codec), positions=lines)
+        text += SENSOR.format(name=name, number=number, codec=_settings(codec), aperture=aperture, positions=lines)
     parse(text, str(spec))  # what is written can be read
     return text
 
@@ -129,11 +149,22 @@ def _settings(codec: Icub) -> str:
     return "\n".join(f"{key} = {json.dumps(value)}" for key, value in values.items())
 
 
-def _positions(codec: Icub, placed: Positions) -> str:
-    """The taxels of a codec, as they come in a frame."""
-    pads = np.concatenate([placed[each] for each in codec.triangles])[codec.is_taxel.ravel()]
+def _pads(codec: Icub, placed: Positions) -> NDArray[np.float64]:
+    """The places (N, 2) of a codec's taxels, mm, as they come in a frame."""
+    return np.concatenate([placed[each] for each in codec.triangles])[codec.is_taxel.ravel()]
+
+
+def _positions(pads: NDArray[np.float64]) -> str:
     rows = [", ".join(f"[{x:.2f}, {y:.2f}]" for x, y in pads[at : at + 5]) for at in range(0, len(pads), 5)]
     return "positions_mm = [\n" + "".join(f"  {each},\n" for each in rows) + "]\n"
+
+
+def _aperture(pads: NDArray[np.float64] | None) -> float:
+    """Diameter of taxels (mm, to a tenth): a triangle's, or as much as the nearest two leave, as in fingertips."""
+    if pads is None or len(pads) < 2:
+        return APERTURE_MM
+    distances = np.hypot(*(pads[:, None] - pads).T) + np.diag(np.full(len(pads), np.inf))
+    return min(APERTURE_MM, floor(10 * float(distances.min())) / 10)
 
 
 def _read_spec(path: Path) -> Spec:
@@ -240,13 +271,14 @@ def _of_triangles(path: Path, text: str) -> Iterator[tuple[int, NDArray[np.float
     """The triangles of an .ini, whose y axis is upwards: number, x, y (mm), angle, gain, mirrored or not."""
     for line in text.partition("[SENSORS]")[2].splitlines():
         kind, *fields = line.split("#")[0].split() or [""]
-        if kind not in TRIANGULAR:
+        if kind.lower() not in PLACED:
             continue
+        at, mirrors = PLACED[kind.lower()]
         try:
             number, x, y, angle, _, mirrored = int(fields[0]), *map(float, (*fields[1:6], "0")[:5])
         except (IndexError, ValueError) as error:
             raise ConfigError(f"{path}: {line.strip()!r}: expected number, x, y, angle, gain") from error
-        pads = np.array(PAD_POSITIONS) / UNITS_PER_MM * (-1.0 if mirrored else 1.0, 1.0)
+        pads = at * (-1.0 if mirrored and mirrors else 1.0, 1.0)
         cosine, sine = np.cos(np.deg2rad(angle)), np.sin(np.deg2rad(angle))
         turned = pads @ np.array([[cosine, sine], [-sine, cosine]]) + (x, y)
         yield number, turned * (1.0, -1.0)

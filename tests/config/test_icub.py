@@ -34,7 +34,7 @@ triangle_10pad\t5\t46\t25.33676985\t239.9998597\t4\t
 # left_forearm_V2.ini: two boards, mirrored
 FOREARM_INI = """cardid 13 12
 [SENSORS]
-fingertip3L\t5\t0\t0\t0\t4
+palmL\t5\t0\t0\t0\t4
 triangle_10pad\t0\t100.00\t-20.00\t30.00\t5\t1
 triangle_10pad\t1\t109.24\t-4.00\t-30.00\t5\t1
 triangle_10pad\t16\t100.00\t-100.00\t-210.00\t5\t0
@@ -127,6 +127,26 @@ def test_boards_come_from_the_file_beside_and_cards_number_the_triangles(write, 
     np.testing.assert_allclose(by_board[12][3], (100, 100), atol=0.01)
     angle = np.deg2rad(30)  # pad 0 of a mirrored triangle is on the other side
     np.testing.assert_allclose(by_board[13][0], (100 - 6.43 * np.cos(angle), 20 + 6.43 * np.sin(angle)), atol=0.01)
+
+
+@pytest.mark.parametrize(("side", "mirrored"), [("L", 0), ("R", 1)])
+def test_fingertips_are_laid_flat(write, side, mirrored):
+    """left_hand_V2_2.ini and right_hand_V2_2.ini: the middle finger, and the thumb, turned by 90 degrees."""
+    lines = "".join(f"fingertip3{side} {each} 4.0 {mirrored} 0\n" for each in ("2 -5 40 0", "4 -40 -40 90"))
+    (sensor,) = sensors(write(("1 10 0 4 1 2 0x2200",), skinType="1", positions="[SENSORS]\n" + lines)).values()
+    assert sensor.codec.settings.triangles == (2, 4)
+    places, unit = np.array(sensor.array.positions_mm), 2.7 / 15.3
+    assert make_array(sensor).size == make_codec(sensor).size == 22  # pad 11 is thermal in hands
+    ring = (
+        9 if side == "L" else 2
+    )  # the pad at the origin, and beside it one to the right, and the far row's middle
+    right, far = (8, 6) if side == "L" else (1, 10)
+    assert sensor.array.aperture_mm == 3.5  # the nearest two are 3.53 mm apart
+    middle, thumb = places[:11], places[11:]
+    np.testing.assert_allclose(middle[ring], (-5, -40), atol=0.01)
+    np.testing.assert_allclose(middle[right] - middle[ring], (25 * unit, -10 * unit), atol=0.01)
+    np.testing.assert_allclose(middle[far] - middle[ring], (0, 58 * unit), atol=0.01)
+    np.testing.assert_allclose(thumb[far] - thumb[ring], (58 * unit, 0), atol=0.01)
 
 
 @pytest.mark.parametrize(("side", "normal", "sign"), [("left", -1.0, 1), ("right", 1.0, -1)])
