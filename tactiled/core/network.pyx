@@ -56,17 +56,17 @@ def redraw(
 ):
     """Draw one image (R, C) by F filters of I images (I, R, C), zero outside.
 
-    filtered_f(p) = max(scales_f (sum_i,d kernels[f, i, d] images_i(p + d) + fixed_f(p)) + offsets_f, 0) and
+    filtered_f(p) = max(scales_f (sum_i,d kernels[i, d, f] images_i(p + d) + fixed_f(p)) + offsets_f, 0) and
     out(p) = sum_f,d draw[d, f] filtered_f(p + d), with the nine shifts d = (-1..1, -1..1) as (3, 3).
 
     `fixed` (F, R, C + 1) holds what does not change between frames; its last column is not used. `kernels`
-    (F, I, 3, 3), `scales` and `offsets` (F,), `draw` (3, 3, F). ValueError where shapes do not fit.
+    (I, 3, 3, F), `scales` and `offsets` (F,), `draw` (3, 3, F); F a multiple of 8. ValueError where shapes do not fit.
     """
-    cdef long I = images.shape[0], R = images.shape[1], C = images.shape[2], F = kernels.shape[0]
+    cdef long I = images.shape[0], R = images.shape[1], C = images.shape[2], F = kernels.shape[3]
     cdef int failed
     if not (
-        I and F and R and C and R * (C + 1) >= 4
-        and kernels.shape[1] == I and kernels.shape[2] == kernels.shape[3] == draw.shape[0] == draw.shape[1] == 3
+        I and F and F % 8 == 0 and R and C and R * (C + 1) >= 4
+        and kernels.shape[0] == I and kernels.shape[1] == kernels.shape[2] == draw.shape[0] == draw.shape[1] == 3
         and scales.shape[0] == offsets.shape[0] == draw.shape[2] == fixed.shape[0] == F
         and fixed.shape[1] == out.shape[0] == R and fixed.shape[2] == C + 1 and out.shape[1] == C
     ):
@@ -148,19 +148,19 @@ def restore(
     it is the first. `images` (3, R, C) get what the last one saw.
     All is done `within` (first row, end, first column, end), as if the surface ended there: the rest is zero.
     """
-    cdef long S = kernels.shape[0], F = kernels.shape[1], rows = out.shape[0], columns = out.shape[1]
+    cdef long S = kernels.shape[0], F = kernels.shape[4], rows = out.shape[0], columns = out.shape[1]
     cdef long K = gain.shape[0], L = gain.shape[1], s, i, row
     cdef long r = within[0], R = within[1] - within[0], q = within[2], C = within[3] - within[2]
     cdef int failed = 0
     cdef float firmness
     check(out, down, across, gain, c)
     if not (
-        S and F and R * (C + 1) >= 4 and images.shape[0] == kernels.shape[2] == 3
+        S and F and F % 8 == 0 and R * (C + 1) >= 4 and images.shape[0] == kernels.shape[1] == 3
         and images.shape[1] == linear.shape[0] == rows and images.shape[2] == linear.shape[1] == columns
         and 0 <= r and R > 0 and r + R <= rows and 0 <= q and C > 0 and q + C <= columns
         and fixed.shape[0] == tuned.shape[0] == draw.shape[0] == S
         and fixed.shape[1] == draw.shape[3] == F and fixed.shape[2] == rows and fixed.shape[3] == columns + 1
-        and kernels.shape[3] == kernels.shape[4] == draw.shape[1] == draw.shape[2] == 3
+        and kernels.shape[2] == kernels.shape[3] == draw.shape[1] == draw.shape[2] == 3
         and tuned.shape[1] == 2 * F + 1
     ):
         raise ValueError("restore: shapes do not fit")

@@ -5,34 +5,33 @@
 #define PAIR (WIDTH / 16 + 1) /* as many as registers hold */
 #define STEP (PAIR * WIDTH)
 TARGET static void NAME(maps)(struct raster at, int inputs, int filters, const float *padded, const float *fixed,
-                              const struct block *blocks, const float *kernels, float *maps) {
+                              const float *kernels, const float *scales, const float *offsets, const float *draw,
+                              float *maps) {
   for (long p = 0; p < at.cells; p += STEP) {
     if (p + STEP > at.cells) p = at.cells - STEP;
     NAME(vec) sums[SHIFTS][PAIR] = {0};
-    const float *kernel = kernels;
     for (int first = 0; first < filters; first += BLOCK) {
-      const struct block *block = blocks + first / BLOCK;
       NAME(vec) filtered[BLOCK][PAIR];
       for (int j = 0; j < BLOCK; j++)
-        for (int v = 0; v < PAIR; v++) {
-          const int filter = first + j < filters ? first + j : first;
-          filtered[j][v] = *(const NAME(loose) *)(fixed + filter * at.cells + p + v * WIDTH);
-        }
+        for (int v = 0; v < PAIR; v++)
+          filtered[j][v] = *(const NAME(loose) *)(fixed + (first + j) * at.cells + p + v * WIDTH);
       for (int i = 0; i < inputs; i++)
-        for (int dy = 0; dy < 3; dy++)
-          for (int dx = 0; dx < 3; dx++, kernel += BLOCK) {
-            const float *x = padded + i * at.padded + p + dy * at.line + dx;
-            NAME(vec) cells[PAIR];
-            for (int v = 0; v < PAIR; v++) cells[v] = *(const NAME(loose) *)(x + v * WIDTH);
-            for (int j = 0; j < BLOCK; j++)
-              for (int v = 0; v < PAIR; v++) filtered[j][v] += kernel[j] * cells[v];
-          }
+        for (int k = 0; k < SHIFTS; k++) {
+          const float *x = padded + i * at.padded + p + k / 3 * at.line + k % 3;
+          const float *kernel = kernels + (i * SHIFTS + k) * filters + first;
+          NAME(vec) cells[PAIR];
+          for (int v = 0; v < PAIR; v++) cells[v] = *(const NAME(loose) *)(x + v * WIDTH);
+          for (int j = 0; j < BLOCK; j++)
+            for (int v = 0; v < PAIR; v++) filtered[j][v] += kernel[j] * cells[v];
+        }
       for (int j = 0; j < BLOCK; j++)
         for (int v = 0; v < PAIR; v++) {
-          NAME(vec) x = block->scale[j] * filtered[j][v] + block->offset[j];
-          x = (NAME(vec))((NAME(bits))x & ~(x <= 0)); /* NaN stays */
-          for (int k = 0; k < SHIFTS; k++) sums[k][v] += block->draw[j][k] * x;
+          const NAME(vec) x = scales[first + j] * filtered[j][v] + offsets[first + j];
+          filtered[j][v] = (NAME(vec))((NAME(bits))x & ~(x <= 0)); /* NaN stays */
         }
+      for (int k = 0; k < SHIFTS; k++)
+        for (int j = 0; j < BLOCK; j++)
+          for (int v = 0; v < PAIR; v++) sums[k][v] += draw[k * filters + first + j] * filtered[j][v];
     }
     for (int k = 0; k < SHIFTS; k++)
       for (int v = 0; v < PAIR; v++)

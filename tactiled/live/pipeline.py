@@ -1,5 +1,6 @@
 """One sensor's way from counts to the restored image: calibrate, restore, check."""
 
+from collections import deque
 from dataclasses import replace
 from functools import cached_property
 from math import inf
@@ -10,7 +11,7 @@ import numpy as np
 
 from tactiled.arrays import Flags, Floats, Floats32
 from tactiled.build import SensorPlan
-from tactiled.calibrate.counts.tare import Zero, blocks, load_description, own_noise, robust_mean
+from tactiled.calibrate.counts.tare import Zero, blocks, load_description, own_noise, reads_below, robust_mean
 from tactiled.calibrate.upkeep.monitor import SkinMonitor
 from tactiled.chain import Chain, flag_warnings
 from tactiled.core import readings
@@ -49,7 +50,7 @@ class Pipeline:
         self.zero = Zero(self.calibrator.no_load, self._chain.shear_zero)  # of the unloaded array
         self._zero_before: Zero | None = None  # the last tare
         self._highest = 0.0  # reading since this zero
-        self._recent: tuple[Floats32, ...] = ()  # raw images since the last tare, or break
+        self._recent = deque[Floats32](maxlen=TARE_FRAMES)  # raw images since the last tare, or break
         self.tared = self.lapsed = self.refused = 0  # times that a tare was done, given up, or met a load
         self.load_in_tare = ""  # in words: what the last refused tare met
         self._thickness = ThicknessSearch(plan, start)
@@ -70,11 +71,11 @@ class Pipeline:
 
     def load_description(self) -> str:
         """Description of the load in the newest frames; "" for none."""
-        return load_description(self._recent, self.noise.kpa, self._plan.unit)
+        return load_description(tuple(self._recent), self.noise.kpa, self._plan.unit)
 
     def lapse_tare(self) -> None:
         """Give up a tare that does not have all of its frames yet; `lapsed` counts it."""
-        self._recent = ()
+        self._recent.clear()
         if self._tare_frames.stop():
             self.lapsed += 1
 
@@ -96,7 +97,8 @@ class Pipeline:
 
     def _use_zero(self) -> None:
         self._chain.tare(self.zero, self.zero.time is not None or self._plan.calibration.no_loads is not None)
-        self._recent, self._highest = (), 0.0
+        self._recent.clear()
+        self._highest = 0.0
         self.cover.reset()
 
     def take_over(self, other: "Pipeline") -> None:
@@ -156,9 +158,11 @@ class Pipeline:
         self.noise.add(raw)
         chain.noise = self.noise.kpa
         if self.noise.settled:
-            self._highest = max(self._highest, readings.look(raw.reshape(-1))[1])
-            flags = chain.with_below_zero(raw, flags, self._highest)
-        self._recent = (*self._recent, raw)[-TARE_FRAMES:]
+            lowest, highest, _ = readings.look(raw.reshape(-1))
+            self._highest = max(self._highest, highest)
+            if reads_below(lowest, chain.noise):
+                flags = chain.with_below_zero(raw, flags, self._highest)
+        self._recent.append(raw)
         chain.prepare(self.method)
         calibrated = monotonic()
         done = chain.restore(raw, flags, self.method, Deadline(budget_s) if budget_s < inf else never, frame)

@@ -159,7 +159,7 @@ class Stages:
         self._trained, (rows, columns) = trained, maps.shape[1:]
         stages, filters = trained.redraw.shape[:2]
         taps = np.moveaxis(trained.redraw.reshape(stages, filters, KERNEL, KERNEL, INPUTS), -1, 2)
-        self.kernels = np.ascontiguousarray(taps[:, :, :IMAGES])
+        self.kernels = np.ascontiguousarray(np.moveaxis(taps[:, :, :IMAGES], 1, -1))
         self.draw = trained.draw.reshape(stages, KERNEL, KERNEL, filters)
         self._doubt = trained.doubt.reshape(KERNEL, KERNEL, filters)
         around = sliding_window_view(np.pad(maps, ((0, 0), (1, 1), (1, 1))), (KERNEL, KERNEL), (1, 2))
@@ -175,7 +175,7 @@ class Stages:
 
     def doubts(self, images: Image) -> Image:
         """Give the logarithm of the deviation (R, C) of what the last stage made of its images."""
-        filters, out = self.kernels.shape[1], np.empty(images.shape[1:], np.float32)
+        filters, out = self.kernels.shape[-1], np.empty(images.shape[1:], np.float32)
         scales, offsets = self.tuned[-1, :filters], self.tuned[-1, filters:-1]
         network.redraw(images, self.fixed[-1], self.kernels[-1], scales, offsets, self._doubt, out)
         out += self._tuned[-1]

@@ -40,7 +40,7 @@ class Restorer:
         self.prepare = self._method.prepare
         nothing = np.zeros(self._scene.blur.surface_shape, np.float32)
         self._no_data = Restored(nothing, "idle", NO_DATA, 0, 0.0, self._scene.widest_mm)
-        self._image = np.zeros(blur.surface_shape, np.float32)
+        self._shape = blur.surface_shape
         self._last = nothing  # that was restored, with what lies beyond the array where the method has it
         self._empty = self._filled = False  # the last frame
         self._knows_unfelt = False  # the last image's deviation
@@ -75,10 +75,9 @@ class Restorer:
     def _own(self, done: Restored) -> Restored:
         """Give what was restored without what lies beyond the array."""
         self._last, self._knows_unfelt = done.image, done.method == learned.Learned.name
-        if done.image.shape == self._image.shape:
+        if done.image.shape == self._shape:
             return done
-        np.copyto(self._image, self._scene.inside(done.image))
-        return done._replace(image=self._image)
+        return done._replace(image=self._scene.inside(done.image))
 
     @property
     def surface(self) -> Image:
@@ -88,19 +87,19 @@ class Restorer:
     def predicted(self) -> Image:
         """Give what the taxels (kPa, their shape) feel of what was restored last, beyond the array too."""
         array, last = self._scene.array, self._last
-        if array.wide is None or last.shape == self._image.shape:
+        if array.wide is None or last.shape == self._shape:
             return array.forward(last)
         return np.asarray(array.wide.forward(last).reshape(array.frame_shape))
 
     def deviation(self) -> Floats:
         """Standard deviation (kPa) of every cell of the image last restored; NaN if no taxel had data."""
         if self._empty:
-            return np.full(self._image.shape, np.nan)
+            return np.full(self._shape, np.nan)
         scene, spread = self._scene, self._method.deviation()
         unfelt = self._inpainter.deviation() if self._filled else scene.unfelt(scene.spectrum)
         if self._knows_unfelt:  # beyond the array and between taxels, not of those that are inferred
             unfelt = np.sqrt(np.maximum(unfelt**2 - scene.unfelt(scene.spectrum) ** 2, 0))
-        inside = spread if spread.shape == self._image.shape else scene.inside(spread)
+        inside = spread if spread.shape == self._shape else scene.inside(spread)
         return np.asarray(np.hypot(inside, scene.inside(unfelt)), float)
 
 

@@ -22,6 +22,7 @@ def redrawn(images, fixed, kernels, scales, offsets, draw):
     def add(taps, layers):
         return sum(correlate(x, k, mode="constant") for x, k in zip(layers, taps, strict=True))
 
+    kernels = np.moveaxis(kernels, -1, 0)
     images, fixed, kernels, draw = (np.float64(each) for each in (images, fixed[:, :, :-1], kernels, draw))
     filtered = np.array([add(kernel, images) for kernel in kernels]) + fixed
     sizes = np.array([add(abs(kernel), abs(images)) for kernel in kernels]) + abs(fixed)
@@ -31,14 +32,14 @@ def redrawn(images, fixed, kernels, scales, offsets, draw):
 
 
 def stage(random, inputs, filters, rows, columns):
-    shapes = ((inputs, rows, columns), (filters, rows, columns + 1), (filters, inputs, 3, 3))
+    shapes = ((inputs, rows, columns), (filters, rows, columns + 1), (inputs, 3, 3, filters))
     return [images(random, *shape) for shape in (*shapes, (filters,), (filters,), (3, 3, filters))]
 
 
 SIDES = st.integers(1, 40)
 
 
-@given(st.integers(1, 5), st.integers(1, 20), SIDES, SIDES, st.integers(0, 9))
+@given(st.integers(1, 5), st.sampled_from([8, 16, 24]), SIDES, SIDES, st.integers(0, 9))
 def test_an_image_is_redrawn_by_correlation(inputs, filters, rows, columns, seed):
     if rows * (columns + 1) < 4:
         rows = 4
@@ -67,7 +68,7 @@ def test_shapes_that_do_not_fit_are_refused():
         wrong[n] = np.ascontiguousarray(array[..., :-1])
         with pytest.raises(ValueError, match="do not fit"):
             network.redraw(*wrong)
-    every, image = stages(np.random.default_rng(1), 5, 12, 12), np.empty((12, 12), np.float32)
+    every, image = stages(np.random.default_rng(1), 8, 12, 12), np.empty((12, 12), np.float32)
     for n, array in enumerate(every):
         wrong = every.copy()
         wrong[n] = np.ascontiguousarray(array[..., :-1])
@@ -102,7 +103,7 @@ def restored(every, within, out, scale=1.0):
 
 @given(SIDES, SIDES, st.integers(0, 9), st.data())
 def test_stages_redraw_in_turn_and_hold_to_the_frame_what_is_within_a_part(rows, columns, seed, data):
-    rows, filters = max(rows, 4), 5
+    rows, filters = max(rows, 4), 8
     every = stages(np.random.default_rng(seed), filters, rows, columns)
     linear, fixed, kernels, tuned, draw, down, across, gain, c, layers = every
     firmness = NOISE * np.exp(FIRM[0] * tuned[:, -1] + FIRM[1])

@@ -86,6 +86,11 @@ def own_noise(frames: NDArray[np.floating], noise: float) -> Floats:
     return own
 
 
+def reads_below(lowest: float, noise: float) -> bool:
+    """Whether the lowest reading is below zero, for a zero taken under a load or another reason."""
+    return lowest < -BELOW_SIGMAS * noise
+
+
 def below_zero(pressure: NDArray[np.floating], noise: float, highest: float) -> NDArray[np.bool_]:
     """Which taxels (NaN: unknown) read below zero since a load lay on them when their zero was taken.
 
@@ -94,7 +99,7 @@ def below_zero(pressure: NDArray[np.floating], noise: float, highest: float) -> 
     """
     nothing = np.zeros(pressure.shape, np.bool_)
     lowest, _, _ = readings.look(np.ascontiguousarray(pressure, np.float32).reshape(-1))
-    if not lowest < -BELOW_SIGMAS * noise:
+    if not reads_below(lowest, noise):
         return nothing
     known = pressure[np.isfinite(pressure)]
     level = min(float(np.median(known)), 0.0)
