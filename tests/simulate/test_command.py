@@ -161,7 +161,7 @@ def test_wrong_arguments_are_refused(config):
 
 
 def test_the_demo_shows_a_skin_with_shear_and_has_a_recording_to_play(tmp_path):
-    assert [*demo_config().sensor] == ["palm", "skin"]
+    assert {name: each.refine for name, each in demo_config().sensor.items()} == {"palm": 1, "skin": 2}
     config = demo_config(shear=True)
     service = Service(config)
     (sensor,) = service.sensors.values()
