@@ -80,6 +80,11 @@ class SensorPlan:
         return isinstance(self.codec, ShearCodec)
 
     @property
+    def restores_shear(self) -> bool:
+        """Whether shear has a scale, and the cover holds a tangential load."""
+        return self.coupled is not None
+
+    @property
     def kpa_per_shear_count(self) -> Floats:
         """(N,) tangential stress of one count of shear; of a skin whose tangential load is restored."""
         assert self.calibration.shear_n_per_count is not None

@@ -118,7 +118,7 @@ class Chain:
 
     def _sheared(self, frame: RawFrame, raw: Floats32, flags: Flags) -> Floats | None:
         """Pressure and shear of a frame (3, N) in kPa, NaN where unknown; None where shear is not restored."""
-        if self._traction is None or frame.shear is None or not np.isfinite(self.shear_zero).all():
+        if self._traction is None or frame.shear is None or np.isnan(self.shear_zero).all():
             return None
         shear = (frame.shear - self.shear_zero) * self.plan.kpa_per_shear_count
         readings = np.concatenate([raw.reshape(1, -1), shear]).astype(float)

@@ -10,9 +10,11 @@ from numpy.typing import NDArray
 from tactiled.frames import Image
 from tactiled.units import COUNTS, PRESSURE, Unit
 
-Kind = Literal["raw", "restored", "shear"]
-KINDS: tuple[Kind, ...] = ("raw", "restored", "shear")
-PRESSURES = KINDS[:2]  # what every sensor has
+Kept = Literal["raw", "restored", "shear"]  # what is kept of the last seconds
+Kind = Literal[Kept, "traction"]
+SHEARED: tuple[Kept, ...] = ("raw", "restored", "shear")  # what a 3-axis skin has
+KINDS: tuple[Kind, ...] = (*SHEARED, "traction")
+PRESSURES = SHEARED[:2]  # what every sensor has
 UNITS: tuple[Unit, ...] = (PRESSURE, COUNTS)  # of pressures, by their number
 METHOD_NAMES = ("", "idle", "raw", "wiener", "rl", "rl-fast", "nnls", "tv", "points", "learned")  # by their number
 MAGIC, VERSION = b"TCTL", 1
@@ -20,7 +22,7 @@ HEADER = Struct("<4sBBHHHHHQddffffII")  # 64 bytes
 LAYOUT = (  # offset, type, meaning
     (0, "4 bytes", "TCTL"),
     (4, "u8", f"version: {VERSION}"),
-    (5, "u8", "kind: 0 raw, 1 restored, 2 shear"),
+    (5, "u8", "kind: 0 raw, 1 restored, 2 shear, 3 traction (shear restored)"),
     (6, "u16", "rows; 1 of taxels that are not a grid"),
     (8, "u16", "columns"),
     (10, "u16", "F, number of flags: one per taxel in a raw image, else 0"),
@@ -39,8 +41,12 @@ LAYOUT = (  # offset, type, meaning
         "u32",
         f"method used: {', '.join(f'{n} {name}' for n, name in enumerate(METHOD_NAMES) if n)}; 0 any other",
     ),
-    (64, "f32 x rows x columns", "pressure in its unit, row by row, NaN if unknown; shear: counts along x"),
-    (None, "f32 x rows x columns", "shear only: counts along y"),
+    (
+        64,
+        "f32 x rows x columns",
+        "pressure in its unit, row by row, NaN if unknown; shear: counts, traction: kPa along x",
+    ),
+    (None, "f32 x rows x columns", "shear and traction only: the same along y"),
     (
         None,
         "u8 x F",
@@ -58,7 +64,9 @@ class Unpacked(NamedTuple):
     sequence: int
     timestamp: float  # s, of the frame's first CAN message
     made_at: float  # s, Unix, of the message
-    values: NDArray[np.float32]  # in `unit`, (rows, columns), a layout in one row; shear (2, ...), counts
+    values: NDArray[
+        np.float32
+    ]  # in `unit`, (rows, columns), a layout in one row; shear (2, ...), counts; traction kPa
     flags: NDArray[np.uint8]  # (taxels,) for a raw image, else empty
     noise: float  # in `unit`
     noise_gain: float
@@ -70,9 +78,11 @@ class Unpacked(NamedTuple):
     sensor: str  # "" on a stream of one sensor
 
 
-def _values(image: Image, kind: Kind) -> NDArray[np.float32]:
-    """The values of a kind; ValueError where it has no shear."""
-    values = {"raw": image.raw, "restored": image.restored, "shear": image.shear}[kind]
+def values_of(image: Image, kind: Kind) -> NDArray[np.float32]:
+    """The values of a kind; ValueError where it has no shear. Traction that is not restored is NaN."""
+    if kind == "traction" and image.traction is None:
+        return np.full((2, *image.restored.shape), np.nan, np.float32)
+    values: NDArray[np.float32] | None = getattr(image, kind)
     if values is None:
         raise ValueError(f"image {image.sequence} of {image.sensor}: no {kind}")
     return values
@@ -80,9 +90,9 @@ def _values(image: Image, kind: Kind) -> NDArray[np.float32]:
 
 def pack(image: Image, kind: Kind, made_at: float, sensor: str = "") -> bytes:
     """Give the message of one image; `made_at` is its time (s, Unix), `sensor` the name to put in."""
-    values = _values(image, kind)
+    values = values_of(image, kind)
     flags = image.flags.tobytes() if kind == "raw" else b""
-    plane = values[0] if kind == "shear" else values
+    plane = values if kind in PRESSURES else values[0]
     rows, columns = plane.shape if plane.ndim == 2 else (1, plane.size)
     name = sensor.encode()
     head = HEADER.pack(
@@ -118,7 +128,7 @@ def unpack(data: bytes) -> Unpacked:
     if unit >= len(UNITS):
         raise ValueError(f"unit {unit}: expected 0 or 1")
     if len(data) != end + flagged + named or kind >= len(KINDS):
-        raise ValueError(f"{len(data)} bytes of kind {kind}: expected {end + flagged + named} of kind 0, 1 or 2")
+        raise ValueError(f"{len(data)} bytes of kind {kind}: expected {end + flagged + named} of kind 0 to 3")
     values = np.frombuffer(data, "<f4", prod(shape), HEADER.size).reshape(shape)
     flags = np.frombuffer(data, np.uint8, flagged, end)
     return Unpacked(

@@ -47,8 +47,8 @@ def messages(codec, x, y, z=Z, now=0.0):
 class Skin(Rig):
     """The service, and who plays the skin."""
 
-    def __init__(self, channel, more=""):
-        super().__init__(channel, more, CONFIG)
+    def __init__(self, channel, more="", scale=""):
+        super().__init__(channel, more, CONFIG.replace("dead = [5]", f"dead = [5]{scale}"))
 
     def show(self, x, y, z=Z, drop=()):
         """Send a frame until it is whole, or as whole as it can be, and served; gives its image."""
@@ -60,6 +60,6 @@ class Skin(Rig):
         return self.sensor.hub.latest()
 
 
-def rigged(name, more=""):
-    """A skin that runs meanwhile."""
-    return meanwhile(Skin(re.sub(r"\W", "-", name), more))
+def rigged(name, more="", scale=""):
+    """A skin that runs meanwhile; `scale` are settings of its shear."""
+    return meanwhile(Skin(re.sub(r"\W", "-", name), more, scale))

@@ -83,11 +83,15 @@ def test_shear_has_the_same_header_and_then_x_and_y(grid):
     got = unpack(data)
     assert (got.kind, got.flags.size) == ("shear", 0)
     np.testing.assert_array_equal(got.values, shear)
-    for at, fault in ((4, "of version 1"), (5, "of kind 3")):  # as a later version may send
+    for at, fault in ((4, "of version 1"), (5, "of kind 4")):  # as a later version may send
         with pytest.raises(ValueError, match=fault):
-            unpack(data[:at] + b"\3" + data[at + 1 :])
+            unpack(data[:at] + b"\4" + data[at + 1 :])
     with pytest.raises(ValueError, match="of palm: no shear"):
         pack(grid, "shear", 3.0)
+    restored = unpack(pack(replace(grid, traction=shear + 1), "traction", 3.0))
+    assert restored.kind == "traction"
+    np.testing.assert_array_equal(restored.values, shear + 1)
+    assert np.isnan(unpack(pack(grid, "traction", 3.0)).values).all()  # not tared yet
 
 
 def test_a_layout_without_a_grid_is_one_row():

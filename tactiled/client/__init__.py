@@ -42,7 +42,7 @@ from tactiled.client.stream import (
 )
 from tactiled.errors import ConfigError, LoadedError, TactileError
 from tactiled.files import whole_file
-from tactiled.wire import Kind
+from tactiled.wire import Kept
 
 __all__ = ["Cells", "Client", "Contact", "Contacts", "Event", "Image", "Recording", "Region", "Window", "connect"]
 ROOT = "/api/v1"
@@ -144,17 +144,19 @@ class Client:
         patience_s: float | None = None,
         shear: bool | str | Sequence[str] = False,
         image: ImageCells = "raster",
+        traction: bool = False,
     ) -> Generator[Image, None, None]:
         """The newest images of a sensor, or of several, as they come, for ever; reconnects by itself.
 
         Each is the newest there is when the loop asks for it: a loop slower than the sensor misses images and gets
         none that is old. At most `rate_hz` a second (0: every frame) of each; with `shear`, of all sensors or of
-        those named, whose skin must sense it. With `image="taxels"` a restored image has one value a taxel, the
-        mean of its cells. TactileError if the loop waits for an image for `patience_s` (None: for ever), or if the
-        service refuses; after one stream too many, of this client (4429) or of all (4503), it waits for a place.
-        The log has once what it waits for.
+        those named, whose skin must sense it; with `traction`, that of all as restored. With `image="taxels"` what
+        is restored has one value a taxel, the mean of its cells. TactileError if the loop waits for an image for
+        `patience_s` (None: for ever), or if the service refuses; after one stream too many, of this client (4429)
+        or of all (4503), it waits for a place. The log has once what it waits for.
         """
-        images = read(Stream(self._service, sensor, rate_hz, patience_s, shear, image), self._measuring(image))
+        form = Stream(self._service, sensor, rate_hz, patience_s, shear, image, traction)
+        images = read(form, self._measuring(image))
         _STREAMS.add(images)
         return images
 
@@ -165,9 +167,11 @@ class Client:
         patience_s: float | None = None,
         shear: bool | str | Sequence[str] = False,
         image: ImageCells = "raster",
+        traction: bool = False,
     ) -> AsyncGenerator[Image, None]:
         """The same as `stream`, for asyncio."""
-        return aread(Stream(self._service, sensor, rate_hz, patience_s, shear, image), self._measuring(image))
+        form = Stream(self._service, sensor, rate_hz, patience_s, shear, image, traction)
+        return aread(form, self._measuring(image))
 
     def _measuring(self, cells: ImageCells) -> Measuring:
         """Gives an image its cells and total force; the first of a shape waits for the sensor's geometry."""
@@ -193,16 +197,21 @@ class Client:
         return self._answer("GET", "/metrics")[0].decode(errors="replace")
 
     def snapshot(
-        self, sensor: str, patience_s: float = ANSWER_S, shear: bool = False, image: ImageCells = "raster"
+        self,
+        sensor: str,
+        patience_s: float = ANSWER_S,
+        shear: bool = False,
+        image: ImageCells = "raster",
+        traction: bool = False,
     ) -> Image:
         """The newest image, raw and restored, with its total force; `status` has the sensor's state and age.
 
         Before the first frame it waits for one, for `patience_s`, then TactileError.
         """
-        with closing(self.stream(sensor, 0.0, patience_s, shear, image)) as images:
+        with closing(self.stream(sensor, 0.0, patience_s, shear, image, traction)) as images:
             return next(images)
 
-    def window(self, sensor: str, seconds: float, kind: Kind = "restored", image: ImageCells = "raster") -> Window:
+    def window(self, sensor: str, seconds: float, kind: Kept = "restored", image: ImageCells = "raster") -> Window:
         """The images of the last `seconds` before the newest one, as many as the service still has."""
         _check_seconds("seconds", seconds, MAX_SECONDS)
         query = {"kind": kind, "last": f"{seconds:.6f}s", "limit": str(MAX_ITEMS), "format": "npz"}

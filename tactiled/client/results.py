@@ -14,7 +14,7 @@ from tactiled.client.display import html
 from tactiled.client.stream import Cells, Image, ImageCells
 from tactiled.frames import FrameWarning
 from tactiled.units import FORCE_SCALES, ForceUnit, Unit
-from tactiled.wire import Kind
+from tactiled.wire import Kept
 
 Answer = tuple[bytes, HTTPMessage]  # content and headers
 MAX_UNKNOWN = 0.2  # of an image's cells, with more of which its force is unknown
@@ -110,7 +110,7 @@ class Window:
     """T images of one sensor, oldest first."""
 
     sensor: str
-    kind: Kind
+    kind: Kept
     unit: Unit  # counts of shear, and of an uncalibrated sensor
     cut: bool  # whether the service may have discarded images of the window's beginning
     sequence: NDArray[np.int64]  # (T,); lost frames leave gaps
@@ -171,7 +171,7 @@ def _force(pressure: Floats32, areas: Any, unit: Unit) -> float:
     return float(np.nansum(pressure * areas)) * FORCE_SCALES[unit] if known else np.nan
 
 
-def parse_window(sensor: str, kind: Kind, pages: Sequence[Answer]) -> Window:
+def parse_window(sensor: str, kind: Kept, pages: Sequence[Answer]) -> Window:
     """The window of pages with their headers, the newest first; ValueError if its images have several units."""
     units: set[Any] = {headers["X-Tactiled-Unit"] for _, headers in pages}
     if len(units) > 1:

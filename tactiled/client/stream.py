@@ -21,7 +21,7 @@ from tactiled.arrays import Flags, Floats32, Mask
 from tactiled.client.display import html
 from tactiled.errors import ConfigError, TactileError
 from tactiled.units import COUNTS, FORCE_UNITS, PRESSURE, Unit
-from tactiled.wire import PRESSURES, Kind, Unpacked, unpack
+from tactiled.wire import KINDS, PRESSURES, Kind, Unpacked, unpack
 
 LOG = logging.getLogger("tactiled.client")
 WEBSOCKETS_LOG = logging.getLogger("tactiled.client.websockets")
@@ -68,6 +68,7 @@ class Image:
     unit: Unit = PRESSURE  # of pressures: counts where the sensor is uncalibrated
     force: float = math.nan  # total of `restored`, N or counts mm2; NaN where too little is known
     cells: Cells | None = None  # of `restored`; None if the service did not say, or of one value a taxel
+    traction: Floats32 | None = None  # kPa, shear restored, (2, ...) of `restored`'s shape; NaN before a tare
 
     def _repr_html_(self) -> str:
         """Show it in a notebook."""
@@ -175,11 +176,12 @@ class Inbox:
         parts[part.kind] = part
         if {each.sequence for each in parts.values()} != {part.sequence} or len(parts) < len(self._kinds[name]):
             return None
-        raw, shear = parts["raw"], parts.get("shear")
+        raw, shear, traction = parts["raw"], parts.get("shear"), parts.get("traction")
         image = Image(
             raw.values, parts["restored"].values, raw.flags.reshape(raw.values.shape), raw.sequence, raw.timestamp,
             math.nan if raw.unit == COUNTS else raw.noise, raw.resolution_mm, self.status[name], name,
             shear.values if shear else None, raw.noise, raw.unit,
+            traction=traction.values if traction else None,
         )  # fmt: skip
         self._images[name] = image, self.requested.pop(name, 0.0)
         return name
@@ -196,16 +198,19 @@ class Stream:
         patience_s: float | None,
         shear: bool | str | Sequence[str],
         image: ImageCells = "raster",
+        traction: bool = False,
     ) -> None:
         names = _parse_names("sensor", sensor)
         sheared = [] if shear is False else names if shear is True else _parse_names("shear", shear)
         self._url, self._patience_s = service.url, _parse_patience(patience_s)
         self._title = f"sensor {sensor!r}" if isinstance(sensor, str) else f"sensors {', '.join(names)}"
+        more: dict[Kind, list[str]] = {"shear": sheared, "traction": names if traction else []}
         self._kinds: dict[str, Sequence[Kind]] = {
-            name: (*PRESSURES, "shear") if name in sheared else PRESSURES for name in names
+            name: tuple(kind for kind in KINDS if kind in PRESSURES or name in more.get(kind, ()))
+            for name in names
         }
         query = {"sensors": ",".join(names), "rate_hz": _parse_rate(rate_hz), "flow": "credit"}
-        query |= {"shear": ",".join(sheared)} if sheared else {}
+        query |= {kind: ",".join(some) for kind, some in more.items() if some}
         query |= {"image": image} if parse_cells(image) == "taxels" else {}
         self.address = f"ws{service.url.removeprefix('http')}/api/v1/stream?{urlencode(query)}"
         self._options: dict[str, Any] = {"additional_headers": service.headers, "compression": None}

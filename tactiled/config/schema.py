@@ -270,7 +270,7 @@ class Calibration(Section):
     track_drift: bool = True
     """Follow the drift of zeros that a tare or the calibration file has measured; false: they stay as measured."""
     shear_n_per_count: Annotated[float, Bounds(1e-12, 1e6, FORCE, signed=True)] | None = None
-    """Force along the skin of one count of shear, for XELA's clients."""
+    """Force along the skin of one count of shear, to restore it and for XELA's clients."""
 
 
 class Sensor(Section):

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tactiled.arrays import Floats
 from tactiled.build import SensorPlan
 from tactiled.config import ros_name
 from tactiled.contacts.detection import OUTLINE_SIGMAS, Contact
@@ -19,11 +20,12 @@ from tactiled.contacts.regions import Measures, RegionMeter
 from tactiled.frames import Image
 from tactiled.geometry import tiling
 from tactiled.interop.ros_types import LATCHED, RELIABLE, SENSOR_DATA, Types
-from tactiled.units import FORCE_UNITS, M_PER_MM, PRESSURE, force_text, nanoseconds
+from tactiled.units import FORCE_UNITS, M_PER_MM, N_PER_KPA_MM2, PRESSURE, force_text, nanoseconds
 
 DIAGNOSTICS_EVERY_S = 1.0  # at least, as ROS's diagnostic_updater by default
 DISC_M, LABEL_M = 5e-5, 1e-3  # height of that disc, and of its text
 CYLINDER, TEXT_VIEW_FACING, DELETE_ALL = 3, 9, 3  # of visualization_msgs/Marker
+SMALLEST_MM = 0.1  # standard deviation of a contact's pressure
 OK, WARN = 0, 1  # of diagnostic_msgs/DiagnosticStatus
 WHITE = {"r": 1.0, "g": 1.0, "b": 1.0, "a": 1.0}
 TOPICS = {  # a slash in front: of all sensors
@@ -87,7 +89,7 @@ class Topics:
             "shear": lambda: [stamped | self._shear_pixels(each) for each in (image.shear,) if each is not None],
             "tactile": lambda: [stamped | self._tactile_fields(image, contacts)],
             "regions": lambda: [stamped | _region_fields(image, regions)] if regions else [],
-            "wrench": lambda: [stamped | {"wrench": _wrench(each)} for each in contacts],
+            "wrench": lambda: [stamped | {"wrench": each} for each in self._wrenches(image, contacts)],
             "markers": lambda: [{"markers": [stamped | each for each in self._markers(contacts)]}],
             "/diagnostics": lambda: [stamped | each for each in self._diagnostics(image)],
         }
@@ -112,6 +114,24 @@ class Topics:
         about = {"sequence": image.sequence, "noise": image.noise, "method": image.method}
         about["warnings"] = [each.code for each in image.warnings]
         return sums | _units(image) | arrays | about | {"contacts": [asdict(each) for each in contacts]}
+
+    def _wrenches(self, image: Image, contacts: tuple[Contact, ...]) -> Iterator[Fields]:
+        """Force on the skin of each contact, and its moment about the array's (0, 0).
+
+        Force along the skin, where it is restored, is of the contact in whose ellipse a cell lies deepest.
+        """
+        drag = np.zeros((3, len(contacts)))
+        if image.traction is not None and contacts:
+            cells = self._plan.cells
+            owner = np.stack([_depth(each, cells.positions) for each in contacts]).argmin(axis=0)
+            (x, y), newtons = M_PER_MM * cells.positions.T, cells.side**2 * N_PER_KPA_MM2
+            along, down = np.nan_to_num(image.traction.reshape(2, -1)).astype(float) * newtons
+            moment = x * down - y * along
+            drag = np.stack([np.bincount(owner, each, len(contacts)) for each in (along, down, moment)])
+        for contact, (along, down, moment) in zip(contacts, drag.T.tolist(), strict=True):
+            x, y, force = M_PER_MM * contact.x_mm, M_PER_MM * contact.y_mm, contact.force
+            torque = {"x": y * force, "y": -x * force, "z": moment}
+            yield {"force": {"x": along, "y": down, "z": force}, "torque": torque}
 
     def _shear_pixels(self, shear: NDArray[np.float32]) -> Fields:
         return _pixels(np.stack([self._taxels.picture(each) for each in shear], axis=-1))
@@ -171,7 +191,9 @@ def _pixels(picture: NDArray[np.float32]) -> Fields:
     return size | {"encoding": f"32FC{channels[0] if channels else 1}", "data": data}
 
 
-def _wrench(contact: Contact) -> Fields:
-    """Force of a contact on the skin, along z at its place, with its moment about the array's (0, 0)."""
-    x, y, force = M_PER_MM * contact.x_mm, M_PER_MM * contact.y_mm, contact.force
-    return {"force": {"z": force}, "torque": {"x": y * force, "y": -x * force}}
+def _depth(contact: Contact, places: Floats) -> Floats:
+    """Distance of places (M, 2), mm, from a contact's middle, over the standard deviations of its pressure."""
+    x, y = places.T - np.array([[contact.x_mm], [contact.y_mm]])
+    along, across = np.cos(contact.angle_rad), np.sin(contact.angle_rad)
+    major, minor = (max(each, SMALLEST_MM) for each in (contact.major_mm, contact.minor_mm))
+    return np.asarray(np.hypot((along * x + across * y) / major, (along * y - across * x) / minor))

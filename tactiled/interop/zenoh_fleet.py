@@ -27,7 +27,7 @@ from tactiled.interop.zenoh_session import (
     unpack,
 )
 from tactiled.threads import join_started
-from tactiled.wire import KINDS, PRESSURES
+from tactiled.wire import PRESSURES, SHEARED
 
 if TYPE_CHECKING:
     import zenoh
@@ -118,7 +118,7 @@ class Fleet(Intake):
         def subscribe(keys: str, take: Callable[[str, bytes, bytes], None]) -> None:
             session.declare_subscriber(f"{self._settings.prefix}/{keys}", partial(self._pass_on, take))
 
-        for kind in KINDS:
+        for kind in SHEARED:
             subscribe(f"*/*/{kind}", partial(self.take_image, kind))
         subscribe("*/*/state", self.take_state)
         subscribe("*/events", self.take_event)
@@ -191,7 +191,7 @@ class Fleet(Intake):
                 await self._loop.run_in_executor(self.builders, work)
             if line.described == session:
                 await self._compare_clock(line, robot, session)
-                for kind in KINDS if self.sensors[line.name].reported.shear else PRESSURES:
+                for kind in SHEARED if self.sensors[line.name].reported.shear else PRESSURES:
                     for reply in await self._ask(f"{line.name}/{kind}", MAX_MESSAGE_BYTES):
                         self.take_image(kind, f"{line.name}/{kind}", reply.data, reply.attachment)
         finally:

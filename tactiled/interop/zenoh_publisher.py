@@ -26,7 +26,7 @@ from tactiled.interop.zenoh_session import HEARTBEAT_S, LEASE_S, Answer, Head, R
 from tactiled.live.events import Event
 from tactiled.live.sensor import Sensor
 from tactiled.threads import join_started
-from tactiled.wire import KINDS, PRESSURES, Kind, pack
+from tactiled.wire import PRESSURES, SHEARED, Kind, pack
 
 if TYPE_CHECKING:
     import zenoh
@@ -142,7 +142,7 @@ class _Publication:
     def __init__(self, publisher: Publisher, session: "zenoh.Session", sensor: Sensor) -> None:
         self.sensor, self.id = sensor, secrets.token_hex(8)
         self._publisher, self._session, self._base = publisher, session, f"{publisher.root}/{sensor.name}"
-        self._kinds: tuple[Kind, ...] = KINDS if sensor.plan.shears else PRESSURES
+        self._kinds: tuple[Kind, ...] = SHEARED if sensor.plan.shears else PRESSURES
         self._waiting: deque[tuple[Image, int]] = deque(maxlen=1)
         self._number = 0
         self._newest: dict[str, tuple[bytes, bytes]] = {}  # message and attachment, by kind

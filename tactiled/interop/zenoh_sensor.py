@@ -41,6 +41,7 @@ class RemotePlan:
     codec_name: str
     shears: bool
     unit: Unit
+    restores_shear: bool = False  # that it sends on
 
 
 class ClockOffset:
@@ -232,6 +233,10 @@ class RemoteSensor:
     def references(self) -> list[float | None] | None:
         """Counts of pads that feel no pressure."""
         return self.reported.references
+
+    def need_traction(self) -> None:
+        """NoShearError: no reader sends what it restores of shear."""
+        raise NoShearError(f"sensor {self.name!r}: shear that a reader restores is not sent on: ask its service")
 
     def need_shear(self) -> None:
         """NoShearError where its skin feels none."""

@@ -137,6 +137,15 @@ class Sensor:
         if not self.plan.shears:
             raise NoShearError(f"sensor {self.name!r}: its codec {self.plan.codec_name} carries no shear")
 
+    def need_traction(self) -> None:
+        """NoShearError where its shear is not restored."""
+        self.need_shear()
+        if not self.plan.restores_shear:
+            raise NoShearError(
+                f"sensor {self.name!r}: shear is not restored: that needs calibration.shear_n_per_count, "
+                "kpa_per_count or a gain, and a cover that does not slide"
+            )
+
     def contacts(self) -> tuple[Image | None, tuple[Contact, ...]]:
         """The newest image and the contacts in it, tracked while anybody asks; any thread."""
         return self._tracking.contacts()

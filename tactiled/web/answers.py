@@ -1,7 +1,7 @@
 """What the API answers on images, sensors and the service: the schemas, filled in."""
 
 from collections.abc import Iterable
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from io import BytesIO
 from math import isnan
 from typing import TYPE_CHECKING, Any
@@ -49,6 +49,7 @@ def sensor_state(sensor: SensorView) -> schemas.SensorState:
         taxels=sensor.array.size,
         pitch_mm=sensor.array.pitch,
         shear=sensor.plan.shears,
+        traction=sensor.plan.restores_shear,
         unit=sensor.plan.unit,
         method=sensor.method,
         methods=tuple(METHODS),
@@ -95,6 +96,14 @@ def by_taxel(sensor: SensorView, values: NDArray[np.float32]) -> NDArray[np.floa
     return means.reshape(*values.shape[:-2], *sensor.array.frame_shape)
 
 
+def on_taxels(sensor: SensorView, image: Image) -> Image:
+    """An image with the means of what is restored on each taxel."""
+    names = ("restored", "traction", "traction_deviation")
+    known = {name: each for name in names if (each := getattr(image, name)) is not None}
+    means: dict[str, Any] = {name: by_taxel(sensor, each) for name, each in known.items()}
+    return replace(image, **means)
+
+
 def _message(image: Image, status: Status) -> dict[str, Any]:
     """The fields that every message on an image has."""
     return {
@@ -132,6 +141,15 @@ def shear(sensor: SensorView, image: Image) -> schemas.Shear:
     """Shear of an image that has it, with the sensor's present state."""
     x, y = (numbers(each) for each in np.asarray(image.shear))
     return schemas.Shear(**_message(image, sensor.status()), x=x, y=y)
+
+
+def traction(sensor: SensorView, image: Image) -> schemas.Traction:
+    """Restored shear of an image, null where there is none yet, with the sensor's present state."""
+    nothing = np.full((2, *image.restored.shape), np.nan, np.float32)
+    both = (nothing if each is None else each for each in (image.traction, image.traction_deviation))
+    (x, y), (x_deviation, y_deviation) = (map(numbers, each) for each in both)
+    deviations = {"x_deviation": x_deviation, "y_deviation": y_deviation}
+    return schemas.Traction(**_message(image, sensor.status()), x=x, y=y, **deviations)
 
 
 def contacts(sensor: SensorView) -> schemas.Contacts | None:

@@ -92,6 +92,7 @@ class SensorState(Status):
     taxels: int = Field(examples=[1024])
     pitch_mm: float = Field(examples=[1.0])
     shear: bool = Field(description="whether the skin feels it", examples=[False])
+    traction: bool = Field(False, description="whether it is restored", examples=[False])
     unit: Unit
     method: str = Field(description="selected method", examples=["auto"])
     methods: tuple[str, ...] = Field(examples=[tuple(METHODS)])
@@ -182,6 +183,17 @@ class Shear(FrameId, Message):
     unit: units.Shear = units.SHEAR
     x: Values
     y: Values
+
+
+class Traction(FrameId, Message):
+    """Tangential load on the restored cells, by shear, and its standard deviation; null before the first tare."""
+
+    type: Literal["traction"] = "traction"
+    unit: Literal["kPa"] = units.PRESSURE
+    x: Values
+    y: Values
+    x_deviation: Values
+    y_deviation: Values
 
 
 class StreamStatus(_or_null(Restoration), _or_null(FrameId), Status, Message):  # type: ignore[misc]

@@ -5,6 +5,7 @@ import struct
 import time
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, suppress
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,12 +13,15 @@ import zenoh
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from zenoh import ext
 
-from tactiled.config import Server, Zenoh
+from tactiled.build import sensor_plan
+from tactiled.config import Server, Zenoh, parse
+from tactiled.contacts.detection import Contact
 from tactiled.contacts.regions import Region
+from tactiled.interop.ros import Topics
 from tactiled.interop.ros_types import Types
 from tactiled.interop.zenoh_session import open_session
 from tactiled.units import nanoseconds
-from tests.conftest import BUSY_S, pressed, until
+from tests.conftest import BUSY_S, CONFIG, pressed, until
 from tests.interop.zenoh_kit import TOKEN, published
 from tests.process import free_port
 
@@ -187,3 +191,19 @@ def test_the_service_is_refused_where_a_change_needs_a_claim(network):
     for attachment in (None, b"0" * 32):
         (refusal,) = session.get(TARE, attachment=attachment, timeout=BUSY_S)
         assert f"an attachment of {len(attachment or b'')} bytes" in refusal.err.payload.to_string()
+
+
+def test_a_wrench_has_the_force_along_the_skin_of_the_contact_that_drags():
+    contacts = tuple(Contact(n, 1.0, y, 0.5, 4.0, 10.0, 0.8, 0.6, 0.0) for n, y in enumerate((1.0, 6.0)))
+    traction = np.zeros((2, 8, 8), np.float32)
+    traction[0, 1, 1], traction[1, 6, 2] = 30.0, -20.0  # kPa on 1 mm2
+    image = SimpleNamespace(time=1.5, traction=traction)
+    topics = Topics(sensor_plan("palm", parse(CONFIG.format(channel="none")).sensor["palm"]))
+    got = [
+        topics.types.store.deserialize_cdr(bytes(cdr), "geometry_msgs/msg/WrenchStamped").wrench
+        for _, cdr in topics.messages(image, contacts, {}, {"wrench"})
+    ]
+    forces = [[each.force.x, each.force.y, each.force.z] for each in got]
+    np.testing.assert_allclose(forces, [[0.03, 0, 0.5], [0, -0.02, 0.5]], atol=1e-7)
+    np.testing.assert_allclose([each.torque.z for each in got], [-0.03e-3, -0.04e-3], atol=1e-9)
+    np.testing.assert_allclose([each.torque.x for each in got], [0.5e-3, 3e-3], atol=1e-7)

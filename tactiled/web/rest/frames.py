@@ -15,7 +15,7 @@ from tactiled.bounds import Syntax
 from tactiled.frames import Image
 from tactiled.live.history import Page
 from tactiled.live.sensor import Status
-from tactiled.units import SHEAR, Unit
+from tactiled.units import PRESSURE, SHEAR, Unit
 from tactiled.web import answers, schemas
 from tactiled.web.answers import SensorView
 from tactiled.web.rest import drawing
@@ -23,7 +23,7 @@ from tactiled.web.rest.dependencies import AnySensor, format_of, in_turn, in_uni
 from tactiled.web.rest.openapi import MEDIA, problems, success
 from tactiled.web.rest.picture import picture
 from tactiled.web.schemas import PressureKind
-from tactiled.wire import Kind
+from tactiled.wire import Kept, values_of
 
 NewestFormat = Literal["json", "npy", "png"]
 ShearFormat = Literal["json", "npy"]
@@ -53,6 +53,9 @@ NEWEST = success("the newest image", "npy", "png", headers=TAGGED) | success(
 )
 NEWEST_SHEAR = success(
     "the newest frame's shear; .npy: (2, rows, columns), or (2, taxels), float32", "npy", headers=IMAGE_HEADERS
+)
+NEWEST_TRACTION = success(
+    "the newest frame's restored shear; .npy: (2, rows, columns), float32", "npy", headers=IMAGE_HEADERS
 )
 PAGE = success(
     "images, oldest first: .npy (T, rows, columns), shear (T, 2, rows, columns); "
@@ -94,7 +97,7 @@ class Frames(schemas.Schema):
 
     type: Literal["frames"] = "frames"
     sensor: schemas.SensorName
-    kind: Kind = Field(examples=["restored"])
+    kind: Kept = Field(examples=["restored"])
     unit: Unit = Field(description="counts of shear, and of an uncalibrated sensor", examples=["kPa"])
     before: str | None = Field(description="`before` of the next page; null: no older images in the window")
     cut: bool = Field(description="whether images of the window's beginning may have been discarded")
@@ -104,7 +107,7 @@ class Frames(schemas.Schema):
 class PageQuery(BaseModel):
     """Which images of the last seconds."""
 
-    kind: Kind = Field("restored", description="which images")
+    kind: Kept = Field("restored", description="which images")
     last: Annotated[str, WINDOW] = Field("1s", description="window, back from the newest image", examples=["2s"])
     before: Annotated[str, BEFORE] | None = Field(None, description=OLDER, examples=["37545@72076.529173"])
     limit: int = Field(100, ge=1, le=MAX_IMAGES, description="images in one answer; fewer if they are large")
@@ -142,7 +145,7 @@ async def page(
     return await in_turn(request, answer)
 
 
-def _page(sensor: SensorView, kind: Kind, form: PageFormat, images: Page) -> Response:
+def _page(sensor: SensorView, kind: Kept, form: PageFormat, images: Page) -> Response:
     headers = {
         "X-Tactiled-Unit": _unit(sensor, kind, images),
         "X-Tactiled-Sequence": _ranges(images.sequence),
@@ -166,7 +169,7 @@ def _page(sensor: SensorView, kind: Kind, form: PageFormat, images: Page) -> Res
     return Response(content, media_type=MEDIA[form], headers=headers)
 
 
-def _unit(sensor: SensorView, kind: Kind, images: Page) -> Unit:
+def _unit(sensor: SensorView, kind: Kept, images: Page) -> Unit:
     return SHEAR if kind == "shear" else images.unit or sensor.plan.unit
 
 
@@ -175,7 +178,7 @@ def _before(images: Page) -> str | None:
     return f"{images.sequence[0]}@{images.since:.6f}" if images.older else None
 
 
-def _json(sensor: SensorView, kind: Kind, images: Page) -> Iterator[bytes]:
+def _json(sensor: SensorView, kind: Kept, images: Page) -> Iterator[bytes]:
     """`Frames`, an image at a time: one call for all of them would keep the live images waiting."""
     before, unit = _before(images), _unit(sensor, kind, images)
     head = Frames(sensor=sensor.name, kind=kind, unit=unit, before=before, cut=images.cut, frames=[])
@@ -185,7 +188,7 @@ def _json(sensor: SensorView, kind: Kind, images: Page) -> Iterator[bytes]:
     yield b"]}"
 
 
-def _past_frame(kind: Kind, images: Page, n: int) -> PastFrame:
+def _past_frame(kind: Kept, images: Page, n: int) -> PastFrame:
     flags, values = images.flags[n], images.values[n]
     fields = {
         "sequence": int(images.sequence[n]),
@@ -214,6 +217,19 @@ def shear(sensor: AnySensor, form: Annotated[ShearFormat, format_of(ShearFormat)
     if form == "npy":
         return Response(answers.npy(image.shear), media_type=MEDIA[form], headers=headers)
     return Response(answers.shear(sensor, image).model_dump_json(), media_type=MEDIA[form], headers=headers)
+
+
+@router.get("/traction", response_model=schemas.Traction, responses=problems(404, 406, 503) | NEWEST_TRACTION)
+def traction(sensor: AnySensor, form: Annotated[ShearFormat, format_of(ShearFormat)]) -> Response:
+    """Shear of the newest frame, restored on the cells, in kPa; 404 where it is not. NaN before the first tare."""
+    sensor.need_traction()
+    image = sensor.hub.latest()
+    if image is None:
+        raise no_frame(sensor)
+    headers = image_headers(image, sensor.status(), PRESSURE)
+    if form == "npy":
+        return Response(answers.npy(values_of(image, "traction")), media_type=MEDIA[form], headers=headers)
+    return Response(answers.traction(sensor, image).model_dump_json(), media_type=MEDIA[form], headers=headers)
 
 
 @router.get("/{kind}", response_model=schemas.Frame, responses=problems(404, 406, 409, 429, 503) | NEWEST)

@@ -26,7 +26,7 @@ from tactiled.web.rest.openapi import EVERY_RESOURCE, MEDIA, problems, success
 from tactiled.web.rest.recorded_series import SensorQuery, SeriesQuery
 from tactiled.web.rest.recordings import FileName, Recordings
 from tactiled.web.rest.regions import RegionMeasures
-from tactiled.wire import KINDS, PRESSURES, pack
+from tactiled.wire import PRESSURES, SHEARED, pack
 
 MAX_OPEN = 4  # recordings whose frames are on the disk; the one used longest ago makes room
 IDLE_S = 600.0  # after its last request a recording's frames are given up
@@ -232,7 +232,7 @@ def _images(playbacks: Playbacks, query: FramesQuery, sensor: Sensor, recorded: 
     first = _number_at(sensor, recorded, query.at or 0.0) if query.first is None else query.first
     need_frame(sensor, recorded, first)
     last = min(recorded.count(sensor.name), first + query.count * query.step)
-    kinds, end = (KINDS if query.shear else PRESSURES), time.monotonic() + ANSWER_S
+    kinds, end = (SHEARED if query.shear else PRESSURES), time.monotonic() + ANSWER_S
     messages, positions = [], []
     for number in range(first, last, query.step):
         image = playback.image(number, query.method or sensor.method)

@@ -31,6 +31,7 @@ MESSAGES: dict[str, tuple[type[BaseModel], str]] = {
         schemas.Shear,
         "With format=json and shear among the kinds: what a 3-axis skin feels along its surface",
     ),
+    "traction": (schemas.Traction, "With format=json and traction among the kinds: the same, restored"),
 }
 
 

@@ -4,7 +4,6 @@ import asyncio
 import time
 from collections.abc import AsyncIterator, Callable, Iterator, Mapping
 from contextlib import asynccontextmanager, contextmanager
-from dataclasses import replace
 from threading import Lock
 from typing import NamedTuple
 
@@ -83,7 +82,7 @@ class Feed:
                 frames = [frame(self._text(image, kind, form.cells)) for kind in form.kinds]
             else:
                 if form.cells == "taxels":
-                    image = replace(image, restored=answers.by_taxel(self.sensor, image.restored))
+                    image = answers.on_taxels(self.sensor, image)
                 messages = [self.binary(image, kind, form.named) for kind in form.kinds]
                 frames = [frame(each) for each in ([b"".join(messages)] if form.together else messages)]
             self._frames[form] = frames
@@ -96,6 +95,9 @@ class Feed:
     def _text(self, image: Image, kind: Kind, cells: schemas.ImageCells) -> str:
         if kind == "shear":
             return answers.shear(self.sensor, image).model_dump_json()
+        if kind == "traction":
+            image = image if cells == "raster" else answers.on_taxels(self.sensor, image)
+            return answers.traction(self.sensor, image).model_dump_json()
         return answers.frame(self.sensor, image, kind, cells).model_dump_json()
 
     def status(self) -> schemas.StreamStatus:

@@ -52,7 +52,7 @@ class StreamQuery(BaseModel):
 
     kinds: Kinds = Field(
         PRESSURES,
-        description="images of each frame, sent in this order; shear only from a 3-axis skin",
+        description="images of each frame, sent in this order; shear and traction only from a 3-axis skin",
         json_schema_extra={"default": ",".join(PRESSURES)},
     )
     rate_hz: float = Field(
@@ -87,6 +87,7 @@ class SensorsQuery(StreamQuery):
         description="sensors whose shear is sent after their other images, with commas between",
         examples=["tip"],
     )
+    traction: Names = Field((), description="the same of shear as it is restored", examples=["tip"])
 
 
 Q = TypeVar("Q", bound=StreamQuery)

@@ -17,6 +17,7 @@ from tactiled.web.http.protocols import protocol
 from tactiled.web.ws.feed import TICK_S, ContactsFrame, Feed, Feeds, Format
 from tactiled.web.ws.query import SensorsQuery, StreamQuery, parse, parse_next
 from tactiled.web.ws.session import NOT_FOUND, REMOVED, StreamEndError, receive, refuse, serve
+from tactiled.wire import Kind
 
 STATUS_S = 1.0  # between two statuses at most, sent at ticks or between
 CONTACTS_S = 0.05  # between two messages on contacts at least
@@ -95,6 +96,8 @@ class _Line:
     def __init__(self, feed: Feed, form: Format) -> None:
         if "shear" in form.kinds:
             feed.sensor.need_shear()
+        if "traction" in form.kinds:
+            feed.sensor.need_traction()
         self.feed, self.form = feed, form
         self.wake: Callable[[], None] = lambda: None  # until the stream runs
         self.listening = ExitStack()
@@ -125,8 +128,9 @@ class Stream:
         self._socket, self._feeds, self._query, self._faults, self._named = socket, feeds, query, faults, named
         self._protocol, self._loop = protocol(socket), asyncio.get_running_loop()
         names = tuple(feeds) if query.sensors is None else query.sensors
-        if not set(query.shear) <= set(names):
-            raise ValueError(f"shear={','.join(query.shear)}: give some of {','.join(names)}")
+        for key, some in (("shear", query.shear), ("traction", query.traction)):
+            if not set(some) <= set(names):
+                raise ValueError(f"{key}={','.join(some)}: give some of {','.join(names)}")
         self._lines = {name: self._line(name) for name in names}
         self._credit = dict.fromkeys(names, 0)  # images of each kind that the client has requested
         self._due: dict[_Line, None] = {}  # lines that may have something to send
@@ -138,7 +142,9 @@ class Stream:
         if name not in self._feeds:
             raise UnknownSensorError.among(name, self._feeds)
         query = self._query
-        kinds = (*query.kinds, "shear") if name in query.shear and "shear" not in query.kinds else query.kinds
+        more: dict[Kind, tuple[str, ...]] = {"shear": query.shear, "traction": query.traction}
+        wanted = (kind for kind, names in more.items() if name in names and kind not in query.kinds)
+        kinds = *query.kinds, *wanted
         form = Format(kinds, query.format == "json", self._named, query.together == "1", query.image)
         return _Line(self._feeds[name], form)
 

@@ -6,18 +6,20 @@ import jsonschema
 import numpy as np
 import pytest
 
+from tactiled.client import connect
 from tactiled.web.rest import frames
 from tests.conftest import problem, until
-from tests.skin import PALM, X, Y, rigged
-from tests.web.ws.clients import images, stream, text_of
+from tests.skin import PALM, X, Y, Z, rigged
+from tests.web.ws.clients import closed, images, stream, text_of
 
-SHEAR = "/sensors/skin/frames/shear"
+SHEAR, TRACTION = "/sensors/skin/frames/shear", "/sensors/skin/frames/traction"
+SCALE = ", no_load = 36864, noise_kpa = 0.1, shear_n_per_count = 0.000016"
 
 
 @pytest.fixture
 def rig(request):
     """A skin beside a palm that feels no shear."""
-    with rigged(request.node.name, PALM) as rig:
+    with rigged(request.node.name, PALM, getattr(request, "param", "")) as rig:
         yield rig
 
 
@@ -107,6 +109,42 @@ def test_shear_in_a_json_stream_is_that_of_rest_as_described(rig, client):
     jsonschema.validate(shear, schema)
     with pytest.raises(jsonschema.ValidationError):
         jsonschema.validate({key: value for key, value in shear.items() if key != "state"}, schema)
+
+
+@pytest.mark.parametrize("rig", [SCALE], indirect=True)
+def test_shear_with_a_scale_is_restored_once_it_was_tared(rig, client):
+    assert problem(client.get(TRACTION), 503) == "sensor 'skin': no frame yet on can0"
+    rig.show(X, Y)
+    assert client.get(TRACTION).json()["x"] == [[None] * 3] * 2
+    assert client.post("/sensors/skin/tare").status_code == 202
+    until(lambda: rig.show(X, Y) and rig.sensor.pipeline.tared)
+    image = rig.show(X + 2000, Y, Z + np.array([9000, 9000, 0, 9000, 9000, 0]))
+    assert image.traction[0].mean() > 0.5
+    answer = client.get(TRACTION)
+    traction = answer.json()
+    assert (traction["type"], traction["unit"], answer.headers["x-tactiled-unit"]) == ("traction", "kPa", "kPa")
+    np.testing.assert_allclose([traction["x"], traction["y"]], image.traction, atol=1e-4)
+    deviations = [traction["x_deviation"], traction["y_deviation"]]
+    np.testing.assert_allclose(deviations, image.traction_deviation, atol=1e-4)
+    values = np.load(io.BytesIO(client.get(f"{TRACTION}?format=npy").content))
+    np.testing.assert_array_equal(values, image.traction)
+    assert client.get("/sensors").json()["sensors"][0]["traction"] is True
+    with stream(str(client.base_url), "sensors/skin/stream?kinds=raw,traction", "") as socket:
+        messages = images(socket, 2)
+        assert [each.kind for each in messages] == ["raw", "traction"]
+        np.testing.assert_array_equal(messages[1].values, image.traction)
+    with stream(str(client.base_url), "sensors/skin/stream?kinds=traction&format=json&image=taxels", "") as socket:
+        assert text_of(socket, "traction") == traction
+    snapshot = connect(str(client.base_url).removesuffix("/api/v1/")).snapshot("skin", traction=True)
+    np.testing.assert_array_equal(snapshot.traction, image.traction)
+
+
+def test_shear_without_a_scale_is_not_restored(client):
+    message = "sensor 'skin': shear is not restored: that needs calibration.shear_n_per_count"
+    assert problem(client.get(TRACTION), 404).startswith(message)
+    with stream(str(client.base_url), "stream?sensors=skin&traction=skin", "") as socket:
+        code, reason = closed(socket)
+    assert (code, reason.startswith(message)) == (4404, True)
 
 
 def test_a_sensor_without_shear_is_refused(client):
