@@ -5,7 +5,7 @@ _Array = NDArray[np.float32]
 _Indices = NDArray[np.int64]
 
 def box(
-    y: _Array, rows: _Indices, columns: _Indices, threshold: float, margin: int
+    y: _Array, rows: NDArray[np.int32], columns: NDArray[np.int32], threshold: float, margin: int
 ) -> tuple[int, int, int, int, int, float, float, float]: ...
 def complete(
     matrix: _Array,

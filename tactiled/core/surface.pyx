@@ -2,14 +2,15 @@
 """Where a surface is pressed, and what lies beyond the taxels there, float32."""
 
 
-def box(const float[::1] y, const long[::1] rows, const long[::1] columns, float threshold, long margin):
+def box(const float[::1] y, const int[::1] rows, const int[::1] columns, float threshold, int margin):
     """Find where taxels read more than a threshold: at `rows` and `columns` (N,), `margin` more on each side.
 
     Gives first and last row, first and last column; of the taxels elsewhere the number, sum and sum of squares of what
     they read; and that of all. The last row is before the first where none of `y` (N,) reads more. NaN is more.
     """
-    cdef long n, top = 0, bottom = -1, left = 0, right = -1, count = 0
-    cdef float total = 0, squares = 0, power = 0
+    cdef long n
+    cdef int top = 0, bottom = -1, left = 0, right = -1, count = 0, outside
+    cdef float total = 0, squares = 0, power = 0, value
     if not y.shape[0] == rows.shape[0] == columns.shape[0]:
         raise ValueError("box: shapes do not fit")
     with nogil:
@@ -23,9 +24,12 @@ def box(const float[::1] y, const long[::1] rows, const long[::1] columns, float
         if bottom >= 0:
             top, bottom, left, right = top - margin, bottom + margin, left - margin, right + margin
         for n in range(y.shape[0]):
+            outside = (rows[n] < top) | (rows[n] > bottom) | (columns[n] < left) | (columns[n] > right)
+            value = y[n] if outside else 0
+            count += outside
+            total += value
+            squares += value * value
             power += y[n] * y[n]
-            if rows[n] < top or rows[n] > bottom or columns[n] < left or columns[n] > right:
-                count, total, squares = count + 1, total + y[n], squares + y[n] * y[n]
     return top, bottom, left, right, count, total, squares, power
 
 

@@ -37,7 +37,8 @@ class Pressed:
             cells = cells[:: array.refine, :: array.refine]
         else:
             cells = cells[wide.own] if wide.felt is None else wide.felt.argmax(axis=1)
-        self._at = np.divmod(cells.ravel(), columns)  # row and column of the cell that each taxel feels most
+        most = cells.ravel().astype(np.int32)  # the cell that each taxel feels most
+        self._at = np.divmod(most, np.int32(columns))  # its row and column
         self._ends = [(int(each.min()), int(each.max())) for each in self._at]
         self._margin = MARGIN * array.refine
         self._noise, self._threshold = noise, detection_threshold(noise, cells.size)

@@ -10,7 +10,7 @@ from tactiled.core import surface
 
 @given(st.lists(st.floats(-2, 2, width=32), min_size=1, max_size=30), st.integers(0, 9))
 def test_the_box_is_around_all_that_reads_more_and_the_rest_is_added_up(y, seed):
-    rows, columns = np.random.default_rng(seed).integers(0, 9, (2, len(y)))
+    rows, columns = np.random.default_rng(seed).integers(0, 9, (2, len(y)), np.int32)
     above = np.array(y) > 1
     top, bottom, left, right = expected = (
         (rows[above].min() - 2, rows[above].max() + 2, columns[above].min() - 2, columns[above].max() + 2)
