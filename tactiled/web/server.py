@@ -28,8 +28,8 @@ from tactiled.web.forward import Requests, publisher
 from tactiled.web.http import timeouts
 from tactiled.web.http.connection import Connection
 from tactiled.web.http.connection_limit import Places, limit
-from tactiled.web.http.protocols import WebSocket
 from tactiled.web.ws import session, xela
+from tactiled.web.ws.pacing import PacedWebSocket
 
 if TYPE_CHECKING:  # which import python-can: `tactiled serve` needs none
     from tactiled.live.service import Service
@@ -132,7 +132,7 @@ def _server(app: FastAPI, config: Server, watchdog: "Watchdog | None" = None) ->
             app,
             loop="asyncio" if config.tls_certificate else "auto",  # uvloop reads before `start_tls` can
             http=cast(Any, certified),
-            ws=WebSocket,
+            ws=PacedWebSocket,
             h11_max_incomplete_event_size=timeouts.MAX_HEAD,
             timeout_keep_alive=3600,  # State.IDLE has the bound
             ws_max_size=session.MAX_MESSAGE_BYTES,

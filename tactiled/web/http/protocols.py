@@ -1,21 +1,11 @@
-"""uvicorn's protocols: errors become problems, and a WebSocket knows how far its client has read.
+"""uvicorn's protocols: errors become problems."""
 
-TCP hides a reader that has stopped behind megabytes of buffers, full of images that are old when they are read. So
-a ping follows every few messages; a client answers when it has read that far. Until then `ready` waits, before a
-stream takes the newest image. A client that answered late, or has not answered yet, gets a ping after every frame,
-and the next frame after its answer.
-"""
-
-import asyncio
 import sys
-import time
-from collections import deque
 from collections.abc import Callable, Sequence
 from http import HTTPStatus
 from typing import Any, cast
 
 import h11
-from fastapi import WebSocket as AcceptedSocket
 from starlette.responses import Response
 from uvicorn.protocols.http.h11_impl import H11Protocol
 from uvicorn.protocols.utils import ClientDisconnected
@@ -30,20 +20,9 @@ from tactiled.web.http import problems
 from tactiled.web.http.headers import HEADERS
 from tactiled.web.http.timeouts import MAX_FRAGMENTS, SHUTDOWN_S
 
-PING_EVERY = 4  # messages
-REQUESTED = 1 / 8  # a message that the client requested counts as so many: its next request says that it reads
-MAX_UNANSWERED = 2  # pings: at most PING_EVERY * MAX_UNANSWERED messages are on their way, and few more
-LATE_S = 0.1  # an answer after so long is late: the client is slow, or far away
 FEW_BYTES = 256  # what clients that keep up send at once: some ten messages
-MARK = b"tactiled"  # of these pings
-PING = bytes((0x80 | Opcode.PING, len(MARK) + 8)) + MARK  # the frame of such a ping, but for its number
 PROTOCOL = "tactiled.protocol"
 ENDS = "the service ends"
-
-
-def protocol(socket: AcceptedSocket) -> "WebSocket":
-    """The protocol below a socket."""
-    return cast(WebSocket, socket.scope["state"][PROTOCOL])
 
 
 def frame(message: bytes | str) -> bytes:
@@ -94,12 +73,6 @@ class WebSocket(WebSocketsSansIOProtocol):
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
         self.conn.reject = _reject  # type: ignore[method-assign]
-        self._unpinged = 0.0  # messages since the newest ping
-        self._pings = 0
-        self._unanswered: deque[float] = deque()  # when each of the last pings was sent
-        self._quick = False  # the last answer was not late
-        self._keeps_up = asyncio.Event()
-        self._keeps_up.set()
         self._few_bytes = False  # came at once
         self.take_text: Callable[[str], bool] = lambda _: False
 
@@ -133,45 +106,15 @@ class WebSocket(WebSocketsSansIOProtocol):
             await super().send(message)
             cast(Any, self.transport).update()
 
-    def keeps_up(self) -> bool:
-        """Whether the client has read what it was sent, but for the last few messages."""
-        return self._keeps_up.is_set() and self.writable.is_set()
-
-    async def ready(self) -> None:
-        """Wait until the client keeps up."""
-        await self._keeps_up.wait()
-        await self.writable.wait()
-
-    def send_frames(self, frames: Sequence[bytes], requested: bool | None = None) -> None:
-        """Send messages, one a frame, and a ping after every few; ClientDisconnected after the end.
-
-        `requested` says whether the client requested these images; None: they are none.
-        """
-        if self.disconnected or self.close_sent or self.conn.state is not OPEN:
-            raise ClientDisconnected
-        self._unpinged += len(frames) * (REQUESTED if requested else 1)
-        now, waiting = time.monotonic(), self._unanswered
-        self._quick = self._quick and not (waiting and now > waiting[0] + LATE_S)
-        strict = requested is False and not self._quick
-        if strict or self._unpinged >= PING_EVERY:
-            self._unpinged, self._pings = 0.0, self._pings + 1
-            waiting.append(now)
-            frames = [*frames, PING + self._pings.to_bytes(8, "big")]
-            if strict or len(waiting) >= MAX_UNANSWERED:
-                self._keeps_up.clear()
+    def send_frames(self, frames: Sequence[bytes]) -> None:
+        """Send messages, one a frame; ClientDisconnected after the end."""
+        self.need_open()
         self.transport.writelines(frames)
 
-    def handle_pong(self, event: Frame) -> None:
-        """Take note of how far the client has read."""
-        data = bytes(event.data)
-        if not data.startswith(MARK) or len(data) != len(MARK) + 8:
-            super().handle_pong(event)
-            return
-        left = max(0, self._pings - int.from_bytes(data[len(MARK) :], "big"))
-        while len(self._unanswered) > left:
-            self._quick = time.monotonic() < self._unanswered.popleft() + LATE_S
-        if len(self._unanswered) < (MAX_UNANSWERED if self._quick else 1):
-            self._keeps_up.set()
+    def need_open(self) -> None:
+        """ClientDisconnected after the end."""
+        if self.disconnected or self.close_sent or self.conn.state is not OPEN:
+            raise ClientDisconnected
 
     def handle_cont(self, event: Frame) -> None:
         """Take one frame more of a message; close a client that sends too many, empty ones too."""
@@ -197,14 +140,8 @@ class WebSocket(WebSocketsSansIOProtocol):
                 return
         super().send_receive_event_to_app()
 
-    def connection_lost(self, exc: Exception | None) -> None:
-        """End the wait of an application whose client has left."""
-        self._keeps_up.set()
-        super().connection_lost(exc)
-
     def shutdown(self) -> None:
-        """Let an application that waits end when the server does, and tell the client why, which may not read."""
-        self._keeps_up.set()
+        """End with the server, and tell the client why, which may not read."""
         if not self.handshake_complete or self.transport.is_closing():
             self.transport.abort()
             return

@@ -13,8 +13,8 @@ from tactiled.errors import NoShearError, UnknownSensorError
 from tactiled.frames import Image
 from tactiled.live.events import Faults
 from tactiled.web.http.problems import close_reason
-from tactiled.web.http.protocols import protocol
 from tactiled.web.ws.feed import TICK_S, ContactsFrame, Feed, Feeds, Format
+from tactiled.web.ws.pacing import protocol
 from tactiled.web.ws.query import SensorsQuery, StreamQuery, parse, parse_next
 from tactiled.web.ws.session import NOT_FOUND, REMOVED, StreamEndError, receive, refuse, serve
 from tactiled.wire import Kind

@@ -23,8 +23,8 @@ from tactiled.web.answers import ServiceView
 from tactiled.web.http import problems
 from tactiled.web.http.auth import AccessControl
 from tactiled.web.http.limits import ConcurrencyLimit, RateLimit
-from tactiled.web.http.protocols import protocol
 from tactiled.web.ws.feed import Feed, Feeds, ticking
+from tactiled.web.ws.pacing import protocol
 from tactiled.web.ws.session import NOT_FOUND, RESTART, StreamEndError, receive, serve
 from tactiled.web.ws.stream import no_stream
 

@@ -14,11 +14,11 @@ from websockets.frames import Opcode
 
 from tactiled.web import answers
 from tactiled.web.http import protocols
-from tactiled.web.http.protocols import MARK, PING_EVERY, REQUESTED
 from tactiled.web.http.timeouts import State
 from tactiled.web.server import running
-from tactiled.web.ws import feed, session
+from tactiled.web.ws import feed, pacing, session
 from tactiled.web.ws.feed import Feed
+from tactiled.web.ws.pacing import MARK, PING_EVERY, REQUESTED
 from tactiled.web.ws.stream import Stream, due_after
 from tactiled.wire import unpack
 from tests.conftest import BUSY_S, GAIN, NO_LOAD, pressed, until
@@ -207,7 +207,7 @@ def test_the_images_of_a_frame_may_come_in_one_message(rig, url):
 
 
 def test_a_slow_client_gets_the_newest_frame_once_it_has_read_the_one_before(rig, url, monkeypatch):
-    monkeypatch.setattr(protocols, "LATE_S", 0.0)
+    monkeypatch.setattr(pacing, "LATE_S", 0.0)
     with closing(websocket.create_connection(websocket_url(url, f"{ONE}?kinds=raw"))) as client:  # reads not ahead
         for unread in (1, 4, 4):
             for at in range(unread):
