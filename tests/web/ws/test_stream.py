@@ -226,7 +226,8 @@ def unread(url):
 @pytest.mark.parametrize("query", ["?kinds=raw", "", "?kinds=raw&flow=credit"])
 def test_a_client_that_reads_again_gets_no_backlog_and_delays_no_other(rig, url, query):
     kinds = 1 if "raw" in query else 2
-    with stream(url, query, max_queue=1) as client, stream(url, "?kinds=raw") as other:
+    soon = {"close_timeout": 0.1}  # with images unread a client does not see the other end's close
+    with stream(url, query, max_queue=1, **soon) as client, stream(url, "?kinds=raw", **soon) as other:
 
         def read():
             if "credit" in query:
