@@ -92,7 +92,9 @@ def loads(skin: Truth, random: np.random.Generator) -> Floats:
     return total.reshape(3, -1)
 
 
-def press(skin: Truth, refine: int, random: np.random.Generator) -> tuple[Floats, Floats, Floats, float]:
+def press(
+    skin: Truth, refine: int, random: np.random.Generator, friction: float
+) -> tuple[Floats, Floats, Floats, float]:
     """Readings (3, N) with friction and without it, the truth (3, R, C) on the cells, and the noise, in kPa."""
     cells = raster(skin.array, refine)
     (rows, columns), size = cells.shape, skin.array.size
@@ -103,23 +105,31 @@ def press(skin: Truth, refine: int, random: np.random.Generator) -> tuple[Floats
     owner = (row * columns + column).ravel()[inside].astype(int)
     while True:
         load = loads(skin, random)
+        load[1:] *= friction
         read = (skin.felt @ load.ravel()).reshape(3, size)
         means = np.stack([np.bincount(owner, each[inside], rows * columns) for each in load])
         means = (means / np.bincount(owner, minlength=rows * columns)).reshape(3, rows, columns)
-        if read[0].max() > MIN_READ and means[0].max() > MIN_PRESSURE and np.abs(means[1:]).max() > MIN_TRACTION:
+        if (
+            read[0].max() > MIN_READ
+            and means[0].max() > MIN_PRESSURE
+            and np.abs(means[1:]).max() >= friction * MIN_TRACTION
+        ):
             noise = NOISE * read[0].max()
             pressed = skin.felt[:size, : load.shape[1]] @ load[0]
             return *(each + random.normal(0, noise, each.shape) for each in (read, pressed)), means, noise
 
 
-def measure(rows: int, columns: int, thickness: float, presses: int, seed: int) -> Floats:
-    """Figures (presses, 8) in the order of the headings."""
+def measure(
+    rows: int, columns: int, thickness: float, presses: int, seed: int, scale: float = 1.0, friction: float = 1.0
+) -> Floats:
+    """Figures (presses, 8) in the order of the headings; shear is taken to be `scale` times what it is."""
     random, figures, refine = np.random.default_rng(seed), [], SKINS[rows, columns]
     for n in range(presses):
         skin, (blur, traction) = (make(rows, columns, thickness, n % 2) for make in (truth, model))
-        readings, frictionless, (pressure, *shear), noise = press(skin, refine, random)
+        readings, frictionless, (pressure, *shear), noise = press(skin, refine, random, friction)
         restorer, shape = make("auto", blur, noise), (rows, columns)
         taxel = raster(skin.array, refine).taxel
+        readings[1:] *= scale
         raw, *read = readings[:, taxel]
 
         def restored(values, restorer=restorer, shape=shape):
@@ -142,12 +152,14 @@ def measure(rows: int, columns: int, thickness: float, presses: int, seed: int) 
 def shear(
     presses: Annotated[int, typer.Option(help="Of each array and thickness.")] = 24,
     seed: Annotated[int, typer.Option(help="Random seed.")] = 1,
+    scale: Annotated[float, typer.Option(help="What shear is taken to be, over what it is.")] = 1.0,
+    friction: Annotated[float, typer.Option(help="Friction, over what is drawn.")] = 1.0,
 ) -> None:
     """Measure what is restored of tangential load, and what that does for pressure."""
     rows = []
     for shape in SKINS:
         for thickness in THICKNESSES:
-            mean = measure(*shape, thickness, presses, seed).mean(axis=0)
+            mean = measure(*shape, thickness, presses, seed, scale, friction).mean(axis=0)
             errors, known, pressures = mean[:3], mean[3], mean[4:]
             rows.append((
                 f"{shape[0]} x {shape[1]}", f"{thickness:g}", *(f"{each:.3f}" for each in errors),
