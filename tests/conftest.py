@@ -92,8 +92,8 @@ class Rig:
     def show_until_tared(self, counts):
         """Show frames until the tare under way is done, or refused; returns the last image."""
         pipeline, image = self.sensor.pipeline, None
-        before = pipeline.tared, pipeline.refused
-        while (pipeline.tared, pipeline.refused) == before:
+        before = pipeline.tares.done, pipeline.tares.refused
+        while (pipeline.tares.done, pipeline.tares.refused) == before:
             image = self.show(counts)
         return image
 

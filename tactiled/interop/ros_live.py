@@ -196,12 +196,12 @@ class Node:
         if tared > before[0]:
             return True, "tare complete"
         if refused > before[1]:
-            return False, f"{self._sensor.pipeline.load_in_tare}: the zero is unchanged"
+            return False, f"{self._sensor.pipeline.tares.load}: the zero is unchanged"
         return False, "the tare did not end: too few frames came"
 
     def _tares(self) -> tuple[int, int, int]:
         pipeline = self._sensor.pipeline
-        return pipeline.tared, pipeline.refused, pipeline.lapsed
+        return pipeline.tares.done, pipeline.tares.refused, pipeline.tares.lapsed
 
     def close(self) -> None:
         """Leave ROS 2: the tokens end."""

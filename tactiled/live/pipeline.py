@@ -20,7 +20,7 @@ from tactiled.frames import FrameWarning, Image, RawFrame, StageTimes
 from tactiled.geometry import tiling
 from tactiled.live.cover_monitor import CoverMonitor
 from tactiled.live.noise import Noise
-from tactiled.live.tare_frames import TARE_FRAMES, TareFrames
+from tactiled.live.tare import TARE_FRAMES, Tare
 from tactiled.live.thickness_search import Start, ThicknessSearch
 from tactiled.restore.methods import named
 from tactiled.restore.noise import estimate
@@ -46,13 +46,11 @@ class Pipeline:
         self.calibrator, self.deviation = self._chain.calibrator, self._chain.deviation
         codec = plan.codec
         self.monitor = SkinMonitor(plan.array, plan.kernel, plan.calibration, codec.ends, codec.full_scale, start)
-        self._tare_frames = TareFrames()
+        self.tares = Tare()
         self.zero = Zero(self.calibrator.no_load, self._chain.shear_zero)  # of the unloaded array
         self._zero_before: Zero | None = None  # the last tare
         self._highest = 0.0  # reading since this zero
         self._recent = deque[Floats32](maxlen=TARE_FRAMES)  # raw images since the last tare, or break
-        self.tared = self.lapsed = self.refused = 0  # times that a tare was done, given up, or met a load
-        self.load_in_tare = ""  # in words: what the last refused tare met
         self._thickness = ThicknessSearch(plan, start)
         self.cover = CoverMonitor(plan)
         self.method: str = before.method if before else plan.method
@@ -67,22 +65,21 @@ class Pipeline:
 
         A load that comes meanwhile, or readings that move, end it, unless it is by `force`.
         """
-        self._tare_frames.start(time, force)
+        self.tares.request(time, force)
 
     def load_description(self) -> str:
         """Description of the load in the newest frames; "" for none."""
         return load_description(tuple(self._recent), self.noise.kpa, self._plan.unit)
 
     def lapse_tare(self) -> None:
-        """Give up a tare that does not have all of its frames yet; `lapsed` counts it."""
+        """Give up a tare that does not have all of its frames yet."""
         self._recent.clear()
-        if self._tare_frames.stop():
-            self.lapsed += 1
+        self.tares.stop("break")
 
     @property
     def can_undo(self) -> bool:
         """Whether a tare is under way, or there is a zero from before the last one."""
-        return self._tare_frames.under_way or self._zero_before is not None
+        return self.tares.under_way or self._zero_before is not None
 
     def set_zero(self, zero: Zero) -> None:
         """Take another zero; `undo_tare` takes the present one again."""
@@ -91,7 +88,7 @@ class Pipeline:
 
     def undo_tare(self) -> None:
         """Give up a tare under way, else take the zero from before the last one again, if there is one."""
-        if not self._tare_frames.stop() and self._zero_before is not None:
+        if not self.tares.stop("undo") and self._zero_before is not None:
             self.zero, self._zero_before = self._zero_before, None
             self._use_zero()
 
@@ -106,9 +103,8 @@ class Pipeline:
 
         Its tare is kept unless the calibration's no load is newer, and with it the zero from before.
         """
-        self.method, self._tare_frames = other.method, other._tare_frames
-        self.tared, self.lapsed, self.refused = other.tared, other.lapsed, other.refused
-        self.load_in_tare, zero, before = other.load_in_tare, self._unless_older(other.zero), other._zero_before
+        self.method, self.tares = other.method, other.tares
+        zero, before = self._unless_older(other.zero), other._zero_before
         if zero is other.zero and before is not None:
             self._zero_before = self._unless_older(before)
         self.zero = zero
@@ -190,17 +186,17 @@ class Pipeline:
 
     def _apply_tare(self, frame: RawFrame) -> None:
         """Add a frame to a tare under way; apply its zero once it is complete, unless there was a load."""
-        frames = self._tare_frames.add(frame)
+        frames = self.tares.add(frame)
         if frames is None:
             return
-        if load := "" if self._tare_frames.force else self._load_during(frames[:, 0]):
-            self.refused, self.load_in_tare = self.refused + 1, load
+        if load := "" if self.tares.force else self._load_during(frames[:, 0]):
+            self.tares.finish(load)
             return
         mean, zero = robust_mean(frames).astype(np.float32), self.zero
         counts = np.where(np.isfinite(mean[0]), mean[0], zero.counts)
         shear = np.where(np.isfinite(mean[1:]), mean[1:], zero.shear) if len(mean) > 1 else zero.shear
-        self.set_zero(Zero(counts, shear, self._tare_frames.time))
-        self.tared += 1
+        self.set_zero(Zero(counts, shear, self.tares.time))
+        self.tares.finish("")
 
     def _load_during(self, counts: Floats32) -> str:
         """A load in frames (T, N) of a tare, in words, or readings that move; "" for neither."""

@@ -137,13 +137,13 @@ class Watch:
     def _look_at_tare(self, sensor: Sensor) -> None:
         sensor.lapse_tare()
         pipeline = sensor.pipeline
-        if self._changed("tared", sensor.name, pipeline.tared, 0):
+        if self._changed("tared", sensor.name, pipeline.tares.done, 0):
             text = f"the load of the last frames is the new zero; {self._keep_tare(sensor)}"
             self._events.add("tare_done", text, sensor.name)
-        if self._changed("refused", sensor.name, pipeline.refused, 0):
-            text = f"given up, nothing changed: {pipeline.load_in_tare}"
+        if self._changed("refused", sensor.name, pipeline.tares.refused, 0):
+            text = f"given up, nothing changed: {pipeline.tares.load}"
             self._events.add("tare_refused", text, sensor.name)
-        if self._changed("lapsed", sensor.name, pipeline.lapsed, 0):
+        if self._changed("lapsed", sensor.name, pipeline.tares.lapsed, 0):
             self._events.add("tare_lapsed", "given up: not live until enough frames had come", sensor.name)
 
     def _look_at_regions(self, sensor: Sensor) -> None:

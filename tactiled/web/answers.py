@@ -246,7 +246,7 @@ def calibration(sensor: Sensor, session: str | None) -> calibration_schemas.Sens
         | {
             "calibrated": plan.calibrated,
             "no_load": sensor.pipeline.calibrator.no_load.tolist(),
-            "tared": sensor.pipeline.tared,
+            "tared": sensor.pipeline.tares.done,
             "load": sensor.pipeline.load_description(),
             "session": session,
             "tared_at": sensor.pipeline.zero.time,

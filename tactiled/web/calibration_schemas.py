@@ -5,7 +5,7 @@ from typing import Literal
 from pydantic import Field
 
 from tactiled.calibrate.sections import Origin
-from tactiled.live.tare_frames import TARE_FRAMES, TARE_S
+from tactiled.live.tare import TARE_FRAMES, TARE_S
 from tactiled.web.schemas import Schema, Unit
 
 

@@ -177,7 +177,7 @@ def test_the_service_tares_and_answers_when_it_is_done_and_why_it_is_not(rig, ne
             answer = other.submit(trigger, session)
             while not answer.done():
                 rig.show(counts)
-            answers.append((*answer.result(), rig.sensor.pipeline.tared))
+            answers.append((*answer.result(), rig.sensor.pipeline.tares.done))
     (_, reason, _) = answers[1]
     assert "contact of" in reason
     assert answers == [(True, "tare complete", 1), (False, reason, 1)]

@@ -106,7 +106,7 @@ def test_a_tare_through_the_server_is_done_and_reported_there(rig, routed):
         answer = ask("POST", f"{url}/sensors/{NAME}/tare?force=true")
         assert answer.status_code == 202
         until(lambda: kinds(fleet, "tare_done"))
-    assert rig.sensor.pipeline.tared == 1
+    assert rig.sensor.pipeline.tares.done == 1
 
 
 def test_a_request_for_a_stopped_reader_is_refused_with_its_reason(rig):

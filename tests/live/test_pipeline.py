@@ -18,7 +18,7 @@ from tactiled.geometry import grid, tiling
 from tactiled.live import pipeline as module
 from tactiled.live.noise import NOISE_FRAMES
 from tactiled.live.pipeline import Deadline, Pipeline
-from tactiled.live.tare_frames import TARE_FRAMES, TARE_S
+from tactiled.live.tare import TARE_FRAMES, TARE_S
 from tactiled.recorded.offline import Offline
 from tactiled.recorded.playback import Playback
 from tactiled.simulate.array import Surface
@@ -115,7 +115,7 @@ def test_a_frame_without_data_says_so_and_is_neither_noise_nor_zero(make):
     images = [pipeline.process(frame(arrived=n * TARE_S, flags=empty)) for n in range(NOISE_FRAMES)]
     text = "no taxel has data, and nothing is known"
     assert images[-1].warnings == (FrameWarning("bad", f"64 taxels reported faulty by the sensor: {text}", 64),)
-    assert (images[-1].why, pipeline.tared, pipeline.noise.settled) == (text, 0, False)
+    assert (images[-1].why, pipeline.tares.done, pipeline.noise.settled) == (text, 0, False)
 
 
 def test_after_a_tare_under_a_load_what_it_left_is_unknown_and_nothing_else(make):
@@ -209,14 +209,17 @@ def test_tare_takes_the_mean_of_the_next_frames(make):
 def test_a_tare_that_has_lapsed_takes_no_frame_and_the_next_starts_over(make):
     pipeline = make()
     pipeline.tare(TARED_AT)
+    states = [pipeline.tares.state]
     for _ in range(TARE_FRAMES - 1):
         pipeline.process(frame(counts=9 * UNLOADED))
+    states.append(pipeline.tares.state)
     pipeline.lapse_tare()
     pipeline.lapse_tare()  # of none
+    assert [*states, pipeline.tares.state] == ["requested", "collecting", "lapsed"]
     assert pipeline.process(frame()).raw[3, 3] == 200
     tare(pipeline, frame(), force=True)
     assert pipeline.process(frame()).raw[3, 3] == 0
-    assert (pipeline.tared, pipeline.lapsed) == (1, 1)
+    assert (pipeline.tares.done, pipeline.tares.lapsed) == (1, 1)
 
 
 def test_a_load_that_comes_while_a_tare_is_under_way_ends_it_unless_it_is_forced(make):
@@ -225,18 +228,19 @@ def test_a_load_that_comes_while_a_tare_is_under_way_ends_it_unless_it_is_forced
         pipeline, frames = make(), [frame(counts=first)] * 12 + [frame(counts=then)] * 4
         before = pipeline.zero
         tare(pipeline, *frames)
-        assert (pipeline.tared, pipeline.refused, pipeline.can_undo) == (0, 1, False)
-        assert re.match(r"contact of|readings that move by", pipeline.load_in_tare)
+        assert (pipeline.tares.done, pipeline.tares.refused, pipeline.can_undo) == (0, 1, False)
+        assert pipeline.tares.state == "refused"
+        assert re.match(r"contact of|readings that move by", pipeline.tares.load)
         assert pipeline.zero is before
         tare(pipeline, *frames, force=True)
-        assert (pipeline.tared, pipeline.refused, pipeline.can_undo) == (1, 1, True)
+        assert (pipeline.tares.done, pipeline.tares.refused, pipeline.can_undo) == (1, 1, True)
 
 
 def test_noise_that_is_not_measured_yet_and_a_noisy_taxel_are_no_load(make):
     noise, pipeline = np.random.default_rng(1).normal(0, 12, (TARE_FRAMES, *SHAPE)), make(noise_kpa=None)
     noise[:, 3, 3] *= 10
     tare(pipeline, *(frame(counts=np.round(UNLOADED + each)) for each in noise))
-    assert (pipeline.tared, pipeline.refused) == (1, 0)
+    assert (pipeline.tares.done, pipeline.tares.refused) == (1, 0)
 
 
 def test_another_calibration_starts_with_as_many_counts_of_noise_and_measures_it_again(make, plan):
@@ -260,7 +264,7 @@ def test_a_tare_takes_as_long_as_it_must_and_no_longer(make):
         pipeline.tare(TARED_AT)
         for n in range(10**4):
             pipeline.process(frame(counts=UNLOADED, arrived=n / rate_hz))
-            if pipeline.tared:
+            if pipeline.tares.done:
                 return n + 1
         return None
 
@@ -273,9 +277,11 @@ def test_a_tare_is_undone_once_and_one_under_way_is_given_up(make):
     pipeline.tare(TARED_AT)
     pipeline.undo_tare()
     pipeline.process(frame())
+    assert (pipeline.tares.state, pipeline.tares.done) == ("undone", 1)
     tare(pipeline, sheared(UNLOADED + 7, 50, -30))
-    assert pipeline.zero.time == TARED_AT
+    assert (pipeline.zero.time, pipeline.tares.state) == (TARED_AT, "done")
     pipeline.undo_tare()
+    assert pipeline.tares.state == "undone"
     assert pipeline.process(frame(counts=UNLOADED + 5)).raw[0, 0] == 0
     assert not pipeline.can_undo
     pipeline.undo_tare()
@@ -303,7 +309,7 @@ def test_another_calibration_goes_on_with_the_tare_unless_its_no_load_is_newer(m
         pipeline, old = with_no_load(TARED_AT + after), tared()
         pipeline.take_over(old)
         assert pipeline.process(frame(counts=UNLOADED + 10)).raw[0, 0] == reading
-        assert (pipeline.method, pipeline.tared, pipeline.can_undo) == ("nnls", 1, after < 0)
+        assert (pipeline.method, pipeline.tares.done, pipeline.can_undo) == ("nnls", 1, after < 0)
         assert pipeline.zero.shear[0, 0] == 50
         pipeline.undo_tare()
         assert pipeline.zero.counts[0] == 90  # of the calibration file

@@ -88,7 +88,7 @@ def test_only_what_changed_restarts_and_the_rest_keeps_all(live):
     palm, thumb = live.service.sensors.values()
     live.service.set_method("palm", "raw")
     palm.tare(force=True)
-    while not palm.pipeline.tared:
+    while not palm.pipeline.tares.done:
         live.show("palm")
     kept = palm.pipeline, palm.pipeline.zero, palm.method, palm.history
     live.write(palm=1, tip=3, index=("can1", 4), buses=("can0", "can1"))
@@ -147,7 +147,7 @@ def test_a_sensor_that_changed_restarts_with_what_is_kept_of_it(live):
     before = live.service.sensor("palm")
     live.service.set_method("palm", "raw", keep=True)
     before.tare(force=True)
-    while not before.pipeline.tared:
+    while not before.pipeline.tares.done:
         live.show("palm")
     until(lambda: "tare_done" in live.kinds())
     live.write(palm=1, thumb=2, change=("pitch_mm = 1.0", "pitch_mm = 2.0"))

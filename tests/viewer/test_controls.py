@@ -174,7 +174,7 @@ def test_a_tare_asks_where_the_array_is_loaded(rig, page):
         page.press(key)
         page.wait("!document.querySelector('dialog[open]')")
     images = [rig.show(pressed()) for _ in range(20)]
-    assert (rig.sensor.pipeline.tared, abs(images[-1].raw).max()) == (0, 200)
+    assert (rig.sensor.pipeline.tares.done, abs(images[-1].raw).max()) == (0, 200)
     assert page.locator("#notice").is_hidden()
     page.press("t")
     question.get_by_role("button", name="Tare anyway").click()

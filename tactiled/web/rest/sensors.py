@@ -5,7 +5,7 @@ from typing import Annotated
 from fastapi import APIRouter, Query, Request
 
 from tactiled.errors import BusError
-from tactiled.live.tare_frames import TARE_FRAMES, TARE_S
+from tactiled.live.tare import TARE_FRAMES, TARE_S
 from tactiled.web import answers, calibration_schemas, schemas
 from tactiled.web.http.problems import SOON, Problem
 from tactiled.web.rest import drawing

@@ -57,4 +57,4 @@ def test_head_changes_nothing_and_needs_the_same_token(rig):
         bearer = {"Authorization": f"Bearer {CONTROL}"}
         assert ask("HEAD", url + "/api/v1/health", headers=bearer).status_code == 200
         assert ask("HEAD", url + "/api/v1/sensors/palm/tare", headers=bearer).status_code == 405
-    assert rig.sensor.pipeline.tared == 0
+    assert rig.sensor.pipeline.tares.done == 0

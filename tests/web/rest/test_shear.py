@@ -52,7 +52,7 @@ def test_shear_is_served_in_counts_with_the_image_it_belongs_to(rig, client):
 def test_a_tare_takes_shear_off_as_well(rig, client):
     rig.show(X, Y)
     assert client.post("/sensors/skin/tare").status_code == 202
-    until(lambda: rig.show(X, Y) and rig.sensor.pipeline.tared)
+    until(lambda: rig.show(X, Y) and rig.sensor.pipeline.tares.done)
     rig.show(X + 10, Y - 20)
     shear, _ = npy(client)
     for axis, expected in zip(shear, (10.0, -20.0), strict=True):
@@ -117,7 +117,7 @@ def test_shear_with_a_scale_is_restored_once_it_was_tared(rig, client):
     rig.show(X, Y)
     assert client.get(TRACTION).json()["x"] == [[None] * 3] * 2
     assert client.post("/sensors/skin/tare").status_code == 202
-    until(lambda: rig.show(X, Y) and rig.sensor.pipeline.tared)
+    until(lambda: rig.show(X, Y) and rig.sensor.pipeline.tares.done)
     image = rig.show(X + 2000, Y, Z + np.array([9000, 9000, 0, 9000, 9000, 0]))
     assert image.traction[0].mean() > 0.5
     answer = client.get(TRACTION)

@@ -87,7 +87,7 @@ class Modules(Rig):
         self.send()
         until(self.sensor.hub.latest)
         self.sensor.tare()
-        while not self.sensor.pipeline.tared:
+        while not self.sensor.pipeline.tares.done:
             self.rest()
 
 
@@ -249,8 +249,8 @@ def test_a_message_is_made_once_for_all_clients_and_those_of_clients_are_ignored
                 client.until(step)
             assert sum(frame is rig.sensor.newest for frame in made) == 1
         rig.rest()
-    assert pipeline.tared == 1
-    assert not pipeline._tare_frames.stop()  # none is under way
+    assert pipeline.tares.done == 1
+    assert not pipeline.tares.under_way
 
 
 GUARDED = Server(port=0, xela=0, **TOKENS)
