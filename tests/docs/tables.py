@@ -36,7 +36,7 @@ MODELS = {
     "[sensor.NAME.calibration]": config.Calibration,
 }
 SUBTABLES = ("codec", "array", "cover", "substrate", "kernel", "calibration")
-KINDS = {"kinds": "some of `raw`, `restored`, `shear`, each once, with commas between"}
+KINDS = {"kinds": "some of `raw`, `restored`, `shear`, `traction`, each once, with commas between"}
 
 
 def unquoted(value):
