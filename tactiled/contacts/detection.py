@@ -22,8 +22,8 @@ NEAR_PITCHES = 8.0  # within which a peak counts in full, and restoration may ri
 FAR_PEAK_SHARE = 0.2  # of a peak further off that counts
 SKIRT_SHARE = 0.1  # of the highest peak that counts, below which a cell is a skirt or rings
 MAX_PEAKS = 512  # of an image: the time of all steps grows with the square of their number
-DIP_SHARE = 0.2  # of the same, by which the pressure dips between two contacts
-PART_SHARE, JOIN_SHARE = 0.3, 0.1  # the same where in the image before they were one contact, or two
+DIP_SHARE = 0.3  # of the same, by which the pressure dips between two contacts
+PART_SHARE, JOIN_SHARE = 0.4, 0.2  # the same where in the image before they were one contact, or two
 
 MAX_STEP_PITCHES = 3.0  # from where a contact was, or should be by its speed
 MAX_FAINT_STEP_PITCHES = 1.0  # the same of one that has become faint

@@ -23,9 +23,10 @@ THICKNESSES = (0.5, 1.0, 2.0, 3.0)  # over the pitch
 NOISES = (0.002, 0.01, 0.05)  # of the frame's peak
 RADIUS_MM = (1.0, 2.5)  # of single discs
 PAIR_RADIUS_MM = 1.0
+RING_RADIUS_MM, RING_WIDTH_MM, RINGS_OFF_MM = (3.0, 8.0), (1.0, 2.0), 2.0
 GAPS_MM = np.arange(0, 6.01, 0.25)  # between the edges of two discs
 RESOLVED_SHARE = 0.9  # of the pairs that must be two contacts, at a gap and at all wider ones
-HEADINGS = ("t/pitch, noise", "one contact, %", "centre, mm", "95 %, mm", "force, %", "gap, mm")
+HEADINGS = ("t/pitch, noise", "one contact, %", "centre, mm", "95 %, mm", "force, %", "gap, mm", "rings, %")
 
 
 class Accuracy(NamedTuple):
@@ -36,12 +37,23 @@ class Accuracy(NamedTuple):
     off_95_mm: float  # 95th percentile
     force: float  # median error over the true force
     gap_mm: float  # smallest resolved; infinite if none of GAPS_MM is
+    rings: float  # share of rings that are detected as one contact
 
 
 def press(skin, discs, noise, random):
     """Press discs (x, y, radius from the array's centre): true centre, true force, contacts raw and restored."""
     x, y = skin.surface.x, skin.surface.y
-    pressure = sum(PEAK_KPA * np.clip(FINER * (r - np.hypot(x - a, y - b)) + 0.5, 0, 1) for a, b, r in discs)
+    return press_on(skin, sum(_inside(r - np.hypot(x - a, y - b)) for a, b, r in discs), noise, random)
+
+
+def _inside(distance):
+    """Pressure at distances (mm) from the border of what presses, positive within it."""
+    return PEAK_KPA * np.clip(FINER * distance + 0.5, 0, 1)
+
+
+def press_on(skin, pressure, noise, random):
+    """Press by `pressure` (kPa, of the fine surface): as of `press`."""
+    x, y = skin.surface.x, skin.surface.y
     clean = skin.surface.sense(pressure).reshape(SIDE, SIDE)
     sigma = noise * float(clean.max())
     frame = (clean + random.normal(0, sigma, clean.shape)).astype(np.float32)
@@ -60,6 +72,15 @@ def singles(skin, noise, repeats, seed):
         yield press(skin, [(x, y, random.uniform(*RADIUS_MM))], noise, random)
 
 
+def rings(skin, noise, repeats, seed):
+    for number in range(repeats):
+        random = np.random.default_rng([seed, number, 2])
+        radius, width = random.uniform(*RING_RADIUS_MM), random.uniform(*RING_WIDTH_MM)
+        x, y = random.uniform(-RINGS_OFF_MM, RINGS_OFF_MM, 2)
+        distance = width / 2 - np.abs(np.hypot(skin.surface.x - x, skin.surface.y - y) - radius)
+        yield press_on(skin, _inside(distance), noise, random)
+
+
 def pairs(skin, gap, noise, repeats, seed):
     for number in range(repeats):
         random = np.random.default_rng([seed, number, 1])
@@ -74,22 +95,24 @@ def measure(thickness, noise, repeats, seed=1):
     skin = rubber(thickness, SIDE)
     one = list(singles(skin, noise, repeats, seed))
     two = [list(pairs(skin, gap, noise, max(repeats // 2, 2), seed)) for gap in GAPS_MM]
-    return [_accuracy(one, two, image) for image in (0, 1)]
+    ring = list(rings(skin, noise, repeats, seed))
+    return [_accuracy(one, two, ring, image) for image in (0, 1)]
 
 
-def _accuracy(one, two, image):
+def _accuracy(one, two, ring, image):
     detected = [(centre, force, each[image][0]) for centre, force, each in one if len(each[image]) == 1]
     off = [np.hypot(*(centre - (got.x_mm, got.y_mm))) for centre, _, got in detected] or [np.nan]
     force = [abs(got.force / force - 1) for _, force, got in detected] or [np.nan]
     shares = [np.mean([len(each[image]) == 2 for _, _, each in same]) for same in two]
     widest = max((n for n, share in enumerate(shares) if share < RESOLVED_SHARE), default=-1)  # not resolved
     gap = float(GAPS_MM[widest + 1]) if widest + 1 < len(GAPS_MM) else np.inf
-    return Accuracy(len(detected) / len(one), np.median(off), np.percentile(off, 95), np.median(force), gap)
+    whole = np.mean([len(each[image]) == 1 for *_, each in ring])
+    return Accuracy(len(detected) / len(one), np.median(off), np.percentile(off, 95), np.median(force), gap, whole)
 
 
 def contacts(repeats: int = 40, seed: int = 1) -> None:
     """Press discs into a 24 x 24 array of 1 mm pitch, one and two at a time, and look for them in both images."""
-    rows, formats = [], ("{:.0%}", "{:.3f}", "{:.3f}", "{:.1%}", "{:g}")
+    rows, formats = [], ("{:.0%}", "{:.3f}", "{:.3f}", "{:.1%}", "{:g}", "{:.0%}")
     for thickness, noise in product(THICKNESSES, NOISES):
         each = zip(formats, *measure(thickness, noise, repeats, seed), strict=True)
         cells = (f"{form.format(raw)} / {form.format(restored)}" for form, raw, restored in each)

@@ -272,12 +272,12 @@ def test_a_ring_whose_dips_are_near_the_bound_keeps_its_ids_until_a_dip_is_clear
     angle = np.arctan2(around[:, 1], around[:, 0])
     ring = np.exp(-((np.hypot(*around.T) - 7.3) ** 2) / 2).reshape(SIDE, SIDE)
     wave = np.cos(4 * angle).reshape(SIDE, SIDE)
-    for share, ids in ((0.0, {1}), (0.25, {1, 2, 3, 4})):
+    for share, ids in ((0.0, {1}), (0.32, {1, 2, 3, 4})):
         track = Tracker(1.0)
         assert len(find(100 * ring * (1 + share * wave), NOISE)) == len(ids)
         for seed in range(20):
-            image = noisy(100 * ring * (1 + 0.115 * wave), 2.0, seed)
+            image = noisy(100 * ring * (1 + 0.177 * wave), 2.0, seed)
             named = track(find(image, NOISE, before=find.parts), 0.05 * seed, 5 * NOISE)
             assert {each.id for each in named} == ids
-    assert len(find(100 * ring * (1 + 0.25 * wave), NOISE, before=find.parts)) == 4
+    assert len(find(100 * ring * (1 + 0.32 * wave), NOISE, before=find.parts)) == 4
     assert len(find(100 * ring, NOISE, before=find.parts)) == 1
