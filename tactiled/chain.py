@@ -7,7 +7,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from tactiled.arrays import Flags, Floats, Floats32
+from tactiled.arrays import Flags, Floats, Floats32, Reals
 from tactiled.build import SensorPlan
 from tactiled.calibrate.counts.calibration import Calibrator
 from tactiled.calibrate.counts.tare import Zero, below_zero
@@ -109,7 +109,7 @@ class Chain:
             noise = self.noise * np.array([1, self._shear_noise, self._shear_noise])
             self._load = load = self._traction(restorer.surface, sheared, noise)
             if load.pressure.any() and method != "raw":
-                done = restorer(_less(raw, load), flags, expired)
+                done = restorer(_less(raw, load.pressure), flags, expired)
                 again = self._traction(restorer.surface, sheared, noise)
                 self._load = again._replace(pressure=load.pressure)  # that the image is without
             else:
@@ -147,13 +147,13 @@ class Chain:
 
     def warnings(self, raw: Floats32, doubtful: Flags, done: Restored) -> tuple[FrameWarning, ...]:
         """Compare the image restored last with its frame, now and then: what several frames in turn have shown."""
-        raw = raw if self._load is None else _less(raw, self._load)
+        raw = _less(raw, None if self._load is None else self._load.pressure)
         return self._checks(raw, doubtful, done.image, self.noise, done.method, self._restorer.predicted)
 
     def check(self, image: Image) -> tuple[WarningCode, ...]:
         """Compare the image restored last, which has no unknown cell, with its frame: what this one shows."""
         doubtful, predict = self.doubtful(image.flags), self._restorer.predicted
-        raw = image.raw if image.tilt is None else image.raw - image.tilt
+        raw = _less(image.raw, image.tilt)
         return self._checks.check(raw, doubtful, image.restored, self.noise, image.method, predict)
 
     def image(self, frame: RawFrame, raw: Floats32, flags: Flags, done: Restored, **others: Any) -> Image:
@@ -204,13 +204,13 @@ class Chain:
                 self._deviation = wanted_by, make(wanted_by[0], self.plan.blur, wanted_by[1])
             restorer = self._deviation[1]
             restorer.weigh(self.noise_ratio)
-            restorer(image.raw if image.tilt is None else image.raw - image.tilt, image.flags)
+            restorer(_less(image.raw, image.tilt), image.flags)
             return np.where(np.isnan(image.restored), np.nan, restorer.deviation()).astype(np.float32)
 
 
-def _less(raw: Floats32, load: Load) -> Floats32:
-    """Pressures less what a tangential load adds to them."""
-    return np.asarray(raw - load.pressure.reshape(raw.shape), np.float32)
+def _less(raw: Floats32, added: Reals | None) -> Floats32:
+    """Pressures less what a tangential load adds to them; None: there is none."""
+    return raw if added is None else np.asarray(raw - added.reshape(raw.shape), np.float32)
 
 
 def flag_warnings(flags: Flags) -> tuple[FrameWarning, ...]:

@@ -41,7 +41,7 @@ class Restorer:
         nothing = np.zeros(self._scene.blur.surface_shape, np.float32)
         self._no_data = Restored(nothing, "idle", NO_DATA, 0, 0.0, self._scene.widest_mm)
         self._shape = blur.surface_shape
-        self._last = nothing  # that was restored, with what lies beyond the array where the method has it
+        self.surface = nothing  # restored last, with what lies beyond the array where the method has it
         self._empty = self._filled = False  # the last frame
         self._knows_unfelt = False  # the last image's deviation
 
@@ -74,19 +74,14 @@ class Restorer:
 
     def _own(self, done: Restored) -> Restored:
         """Give what was restored without what lies beyond the array."""
-        self._last, self._knows_unfelt = done.image, done.method == learned.Learned.name
+        self.surface, self._knows_unfelt = done.image, done.method == learned.Learned.name
         if done.image.shape == self._shape:
             return done
         return done._replace(image=self._scene.inside(done.image))
 
-    @property
-    def surface(self) -> Image:
-        """The image restored last, of what lies beyond the array, too, where the method has it."""
-        return self._last
-
     def predicted(self) -> Image:
         """Give what the taxels (kPa, their shape) feel of what was restored last, beyond the array too."""
-        array, last = self._scene.array, self._last
+        array, last = self._scene.array, self.surface
         if array.wide is None or last.shape == self._shape:
             return array.forward(last)
         return np.asarray(array.wide.forward(last).reshape(array.frame_shape))

@@ -76,9 +76,8 @@ class Traction:
             traction[:, at] = (weights @ left).reshape(3, -1)[1:]
             variances = np.concatenate([K.diagonal() for K in (wrong, friction, friction)])
             left = np.maximum(variances - (weights * covariance).sum(axis=1), 0).reshape(3, -1)
-            spread[:, at] = np.sqrt(
-                left[1:] + left[0] * (traction[:, at] / load) ** 2
-            )  # what drags is the pressure
+            of_pressure = left[0] * (traction[:, at] / load) ** 2  # what drags is the pressure
+            spread[:, at] = np.sqrt(left[1:] + of_pressure)
         spread = np.hypot(spread, FRICTION * noise[0])
         added = felt[: readings.shape[1], size:] @ traction.ravel()
         traction, spread = (each.reshape(2, *shape)[:, *own] for each in (traction, spread))
