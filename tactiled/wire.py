@@ -64,9 +64,8 @@ class Unpacked(NamedTuple):
     sequence: int
     timestamp: float  # s, of the frame's first CAN message
     made_at: float  # s, Unix, of the message
-    values: NDArray[
-        np.float32
-    ]  # in `unit`, (rows, columns), a layout in one row; shear (2, ...), counts; traction kPa
+    values: NDArray[np.float32]
+    """In `unit`, (rows, columns), a layout in one row; shear (2, ...) in counts, traction in kPa."""
     flags: NDArray[np.uint8]  # (taxels,) for a raw image, else empty
     noise: float  # in `unit`
     noise_gain: float

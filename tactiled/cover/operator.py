@@ -21,6 +21,7 @@ from tactiled.geometry import Array, Cells
 BAND_RATIO = 4.0  # of neighbouring bands' cut-offs
 GAUSSIAN_END = 4.6  # where exp(-x^2) is as good as 0 (1e-9)
 Way = tuple[int, ...]  # odd in u, odd in v, and which of these
+WAVES = np.cos, np.sin  # even, and odd
 REACH = 6.0  # over q, in space, of a band from q on: four times its Gaussian's own GAUSSIAN_END / pi
 CODE = (  # a cached table of other code is not ours
     np.__version__,
@@ -117,9 +118,11 @@ def fourier_sums(
         footprints = _footprints(array, side, u, v)
         weight = np.where(frequency > 0, 2.0, 1.0) / (2 * reach)
         columns, rows = x <= reach, y <= reach
-        along = [each(2 * np.pi * np.outer(frequency, x[columns])) * weight[:, None] for each in (np.cos, np.sin)]
-        down = [each(2 * np.pi * np.outer(y[rows], frequency)) * weight for each in (np.cos, np.sin)]
-        for way, gain in gains(u, v).items():
+        found = gains(u, v)
+        odd_x, odd_y = ({way[axis] for way in found} for axis in (0, 1))
+        along = {odd: WAVES[odd](2 * np.pi * np.outer(frequency, x[columns])) * weight[:, None] for odd in odd_x}
+        down = {odd: WAVES[odd](2 * np.pi * np.outer(y[rows], frequency)) * weight for odd in odd_y}
+        for way, gain in found.items():
             spectrum = window * gain * footprints
             result = results.setdefault(way, np.zeros((len(y), len(x))))
             result[np.ix_(rows, columns)] += down[way[1]] @ spectrum @ along[way[0]]

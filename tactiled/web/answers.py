@@ -22,6 +22,7 @@ from tactiled.restore.methods import METHODS, OLD_NAMES
 from tactiled.units import FORCE_UNITS, Unit, if_calibrated
 from tactiled.web import calibration_schemas, schemas
 from tactiled.web.schemas import PressureKind
+from tactiled.wire import values_of
 
 if TYPE_CHECKING:
     from tactiled.interop.zenoh_fleet import Fleet
@@ -145,9 +146,9 @@ def shear(sensor: SensorView, image: Image) -> schemas.Shear:
 
 def traction(sensor: SensorView, image: Image) -> schemas.Traction:
     """Restored shear of an image, null where there is none yet, with the sensor's present state."""
-    nothing = np.full((2, *image.restored.shape), np.nan, np.float32)
-    both = (nothing if each is None else each for each in (image.traction, image.traction_deviation))
-    (x, y), (x_deviation, y_deviation) = (map(numbers, each) for each in both)
+    load = values_of(image, "traction")
+    spread = np.full_like(load, np.nan) if image.traction_deviation is None else image.traction_deviation
+    (x, y), (x_deviation, y_deviation) = (map(numbers, each) for each in (load, spread))
     deviations = {"x_deviation": x_deviation, "y_deviation": y_deviation}
     return schemas.Traction(**_message(image, sensor.status()), x=x, y=y, **deviations)
 
