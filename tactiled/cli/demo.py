@@ -27,6 +27,7 @@ from tactiled.config.example import EXAMPLE, GRASP, SHEAR
 from tactiled.config.schema import LOOPBACK
 from tactiled.errors import ConfigError
 from tactiled.frames import Message
+from tactiled.live.events import Event as Happening
 from tactiled.live.service import Service
 from tactiled.simulate import Player, play
 from tactiled.web.server import serve
@@ -39,6 +40,9 @@ REAL_BUS, VIRTUAL_BUS = (
 OPENING = {"palm": "touch", "skin": "sphere"}  # the scene of each sensor, unless one is chosen
 RECORDED = ("empty", 1.0), ("fingertip", 5.0)  # scenes of the recording to play, and how long, s
 RECORDED_HZ, LEAVE_MB = 50.0, 100.0
+# What a guided calibration asks for is what then touches the simulated array, after a pause without a load.
+GUIDED = {"tip": ("tip",), "edge": ("straightedge",), "blind": ("indenters", "edge"), "uniform": ("steps",)}
+UNLOADED_S = 1.0
 Source = Callable[[Reader, Event], object]
 
 
@@ -63,29 +67,50 @@ def demo(
     config = demo_config(record, shear)
     with threadpool_limits(1), TemporaryDirectory(prefix="tactiled-demo-", ignore_cleanup_errors=True) as folder:
         service = Service(config, report=logs.progress)
-        source = _source(record, config, scene, rate_hz, Path(folder))
+        source = _source(record, service, scene, rate_hz, Path(folder))
         with stoppable(), running(service, config, source):
             serve(service, _server(host, port, foxglove, folder))
 
 
-def _source(record: str | None, config: Config, scene: str | None, rate_hz: float, folder: Path) -> Source:
+def _source(record: str | None, service: Service, scene: str | None, rate_hz: float, folder: Path) -> Source:
     """The function that sends frames until an event is set; it puts a recording to play into `folder`."""
     if not record:
-        return simulation(config, scene, rate_hz, folder)
+        return simulation(service, scene, rate_hz, folder)
     path = recording.path(record)
     copy(path, folder)
     return lambda sender, stop: recording.play(path, sender.send, stop, loop=True)
 
 
-def simulation(config: Config, scene: str | None, rate_hz: float, folder: Path) -> Source:
-    """All sensors under a scene, or each under its own; a recording of them is put into `folder`."""
-    players = [simulated(each, scene or OPENING[name], NOISE_KPA) for name, each in config.sensor.items()]
+def simulation(service: Service, scene: str | None, rate_hz: float, folder: Path) -> Source:
+    """All sensors under a scene, or each under its own; a recording of them is put into `folder`.
+
+    Under a guided calibration a sensor has the load that this asks for.
+    """
+    sensors = service.config.sensor.items()
+    players = {name: simulated(each, scene or OPENING[name], NOISE_KPA) for name, each in sensors}
     logs.progress("simulating a recording to play")
-    _record(players, folder / "fingertips.log")
+    _record(list(players.values()), folder / "fingertips.log")
+    guided: dict[str, tuple[float, tuple[str, ...]]] = {}  # since when (s, Unix), and the scenes
+
+    def follow(event: Happening) -> None:
+        if event.kind == "calibration_started" and event.sensor and (scenes := GUIDED.get(event.text)):
+            guided[event.sensor] = event.time, scenes
+        elif event.kind == "calibration_ended" and event.sensor:
+            guided.pop(event.sensor, None)
+
+    def acting(name: str, t: float, now: float) -> tuple[Player, float]:
+        """What plays a sensor, and how long it has, s."""
+        since, scenes = guided.get(name, (now, ()))
+        if not scenes:
+            return players[name], t
+        pressed = now - since - UNLOADED_S
+        return replace(players[name], scenes=scenes if pressed >= 0 else ("empty",)), max(pressed, 0.0)
 
     def messages(sequence: int, t: float, now: float) -> list[Message]:
-        return [message for each in players for message in each.messages(sequence, t, now)]
+        every = [acting(name, t, now) for name in players]
+        return [message for each, played in every for message in each.messages(sequence, played, now)]
 
+    service.events.subscribe(follow)
     return lambda sender, stop: play(messages, sender.send, rate_hz, stop)
 
 

@@ -165,9 +165,14 @@ def test_the_demo_shows_a_skin_with_shear_and_has_a_recording_to_play(tmp_path):
     config = demo_config(shear=True)
     service = Service(config)
     (sensor,) = service.sensors.values()
-    with running(service, config, simulation(config, None, 100.0, tmp_path)):
+    with running(service, config, simulation(service, None, 100.0, tmp_path)):
         until(lambda: (image := sensor.hub.latest()) and image.sequence > 20)
-    shear = sensor.hub.latest().shear
+        shear = sensor.hub.latest().shear
+        service.events.add("calibration_started", "tip", "skin")
+        until(lambda: sensor.hub.latest().raw.max() < 5)  # unloaded first
+        until(lambda: sensor.hub.latest().raw.max() > 5)
+        service.events.add("calibration_ended", "discarded", "skin")
+        until(lambda: np.abs(sensor.hub.latest().shear).max() > 100)
     assert (sensor.name, shear.shape) == ("skin", (2, 4, 6))
     assert np.abs(shear).max() > 100
     router, frames = Router({"skin": sensor.codec}), []

@@ -30,6 +30,7 @@ test("the verdict says what changed, or why nothing can be told", () => {
   assert.match(verdict({ cover: { ...cover, before_mm: 1.1 } }), /thicker than/);
   assert.match(verdict({ cover: { ...cover, before_mm: 1.2 } }), /agrees/);
   assert.equal(verdict({ cover: { ...cover, reason: "nothing sharp" } }), "This cannot tell the thickness: nothing sharp.");
+  assert.equal(verdict({ cover: { ...cover, reason: "too thin?" } }), "This cannot tell the thickness: too thin?");
   assert.deepEqual(coverNotes({ ...cover, reason: "nothing sharp" }, "tip"), ["a note"]);
   assert.deepEqual(coverNotes(cover, "edge"), ["Made of 20 edges, and predicts edges left out to 1.1 × noise and gain errors.", "a note"]);
 });

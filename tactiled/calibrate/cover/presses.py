@@ -64,7 +64,8 @@ def find_presses(
             continue  # an outlier of one frame is smeared over as many
         plateau = start + _plateau(over_zero[start:end], array)
         mean, error = _mean(frames, loaded, plateau, noise)
-        reason = _unusable(mean, error, plateau, array, border)
+        before = "" if start else "lay there before the first frame"
+        reason = before or _unusable(mean, error, plateau, array, border)
         if saturated is not None and not reason:
             reason = _ceiling(saturated.reshape(frames.shape)[plateau])
         first, last = int(plateau.min(initial=end)), int(plateau.max(initial=start))

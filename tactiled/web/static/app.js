@@ -133,6 +133,7 @@ async function loadOffers() {
   calibration.offer(offered.has("/sensors/{name}/calibration/session"));
   log.offer(offered.has("/events"));
   const demo = offered.has("/config") && await api.isDemo();
+  calibration.isDemo = demo;
   byId("recordings-demo").hidden = !(demo && offered.has("/recordings"));
   const contacts = loadSetting(CONTACTS_KEY) ?? String(!demo); // the demo's are many, and lie over what is restored
   if (contacts === "false") {

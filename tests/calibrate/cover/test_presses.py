@@ -58,6 +58,7 @@ def test_presses_that_cannot_be_used_are_listed_with_their_reason(random):
     assert _ceiling(np.eye(1, 3, dtype=bool)) == "saturated: 1 taxel at its ceiling, press less hard"
     assert reasons[4].startswith("never stands still: ")
     assert find_presses(frames, ARRAY, 1.0, border=True)[2].reason == ""
+    assert find_presses(frames[45:], ARRAY, 1.0)[0].reason == "lay there before the first frame"
 
 
 def test_a_recording_of_nothing_has_no_press_and_one_without_a_pause_is_refused(random):

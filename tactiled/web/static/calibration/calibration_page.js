@@ -2,7 +2,7 @@
 
 import * as api from "../wire/api.js";
 import { CalibrationResult } from "./calibration_result.js";
-import { SIZES, tareText, taxelText, WAYS, zoneText } from "./calibration_text.js";
+import { DEMO, SIZES, tareText, taxelText, WAYS, zoneText } from "./calibration_text.js";
 import { byId, element, setText } from "../shell/dom.js";
 import { DisplayRange } from "../maps/display_range.js";
 import { Heatmap } from "../maps/heatmap.js";
@@ -37,6 +37,7 @@ export class CalibrationPage {
   constructor(viewer) {
     this._viewer = viewer;
     this._name = ""; // of the sensor that is calibrated
+    this.isDemo = false;
     /** @type {Step} */
     this._step = "tare";
     /** @type {CalibrationSession|null} */
@@ -157,7 +158,7 @@ export class CalibrationPage {
     this._step = step;
     const ways = /** @type {Way[]} */ (Object.keys(WAYS)).filter((each) => WAYS[each].step === step);
     setText(byId("calibrate-question"), STEP_QUESTIONS[step]);
-    byId("calibrate-ways").replaceChildren(...ways.map((each, i) => choice(each, i === 0)));
+    byId("calibrate-ways").replaceChildren(...ways.map((each, i) => choice(each, this.isDemo ? DEMO[each] : WAYS[each].hint, i === 0)));
     this._showSize();
     this._show();
   }
@@ -209,7 +210,7 @@ export class CalibrationPage {
   _showSession(session) {
     const { quality, state } = session;
     const way = WAYS[session.way];
-    setText(byId("calibrate-do"), way.instruction);
+    setText(byId("calibrate-do"), this.isDemo ? DEMO[session.way] : way.instruction);
     setText(byId("calibrate-advice"), quality.advice);
     byId("calibrate-advice").classList.toggle("good", quality.enough);
     progress("calibrate-presses", quality.presses_needed ? quality.presses / quality.presses_needed : 0);
@@ -381,12 +382,12 @@ function progress(id, share) {
   /** @type {HTMLProgressElement} */ (byId(id)).value = Math.min(1, share);
 }
 
-/** @param {Way} way @param {boolean} checked @returns {HTMLElement} */
-function choice(way, checked) {
+/** @param {Way} way @param {string} hint @param {boolean} checked @returns {HTMLElement} */
+function choice(way, hint, checked) {
   const radio = element("input", "");
   radio.type = "radio";
   radio.name = "way";
   radio.value = way;
   radio.checked = checked;
-  return element("label", "", radio, element("span", "", element("b", "", WAYS[way].title), element("span", "sub", WAYS[way].hint)));
+  return element("label", "", radio, element("span", "", element("b", "", WAYS[way].title), element("span", "sub", hint)));
 }

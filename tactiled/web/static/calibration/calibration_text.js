@@ -45,6 +45,15 @@ export const WAYS = {
   },
 };
 
+/** What the demo does to the array that it simulates, by the way. @type {Record<Way, string>} */
+export const DEMO = {
+  uniform: "The demo sets 0, 20, 40, 60, 40 and 20 kPa for you, each for 8 s.",
+  weight: "The demo has no weight: choose even pressure.",
+  tip: "The demo presses for you, with a tip of 2 mm.",
+  edge: "The demo lays a pad with one straight edge for you.",
+  blind: "The demo touches the array for you.",
+};
+
 /** What is measured of what presses: the field's label, the request's key, what an empty field means. */
 export const SIZES = {
   tip: { label: "Diameter of its flat end", key: "tip_mm", empty: "Empty: it is fitted, too." },
@@ -74,7 +83,7 @@ export function gainRows(gain) {
 
 /** @param {CalibrationSession} session that is fitted @returns {string} the result in a sentence */
 export function verdict({ cover, gain }) {
-  if (cover?.reason) return `This cannot tell the thickness: ${cover.reason}.`;
+  if (cover?.reason) return `This cannot tell the thickness: ${cover.reason.replace(/[^.?!]$/, "$&.")}`;
   if (cover) {
     const [low, high] = cover.interval_mm;
     const agrees = cover.before_mm >= low && cover.before_mm <= high;
