@@ -2,7 +2,7 @@ import assert from "node:assert/strict";
 import test from "node:test";
 
 import { Plane } from "../../tactiled/web/static/maps/geometry.js";
-import { ShearArrows } from "../../tactiled/web/static/maps/shear_arrows.js";
+import { ON_COVER, SENSED, ShearArrows } from "../../tactiled/web/static/maps/shear_arrows.js";
 
 globalThis.window = { devicePixelRatio: 2 };
 
@@ -19,10 +19,10 @@ const plane = new Plane({
 });
 
 /** Draws arrows at a zoom, CSS px per mm: middle and vector of each, CSS px, and what the key says. */
-function drawer(zoom = 5) {
+function drawer(zoom = 5, of = SENSED) {
   const canvas = fakeCanvas();
   const key = { canvas: fakeCanvas(), span: {}, querySelector: (name) => key[name] };
-  const arrows = new ShearArrows(canvas, key);
+  const arrows = new ShearArrows(canvas, key, of);
   arrows.resize(plane, zoom);
   return (x, y, time = 0) => {
     canvas.calls.length = 0;
@@ -80,4 +80,12 @@ test("what is within three deviations of the noise has no arrow, and the scale s
   assert.ok(parseFloat(key) >= 10 * deviation, key);
   const [, drawn] = draw([2000 + some(), some(), some()], [some(), some(), some()], 8);
   assert.equal(drawn.length, 1);
+});
+
+test("restored shear is in kPa, and thinned where its cells are near one another; before a tare it has no key", () => {
+  const draw = drawer(1, ON_COVER); // cells of 10 px: every other one
+  const nothing = [NaN, NaN, NaN];
+  assert.deepEqual(draw(nothing, nothing), [undefined, []]);
+  assert.deepEqual(draw([1, 1, 1], [0, 0, 0], 1), ["1 kPa", [[5, 5, 14, 0], [25, 5, 14, 0]]]);
+  assert.deepEqual(drawer(5, ON_COVER)([0, 2, 0], [0, 0, 0]), ["2 kPa", [[75, 25, 24, 0]]]);
 });

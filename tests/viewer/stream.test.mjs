@@ -6,7 +6,7 @@ import { Plane } from "../../tactiled/web/static/maps/geometry.js";
 import { npy } from "../../tactiled/web/static/export/npy.js";
 import { provenance } from "../../tactiled/web/static/export/provenance.js";
 import { Session } from "../../tactiled/web/static/wire/session.js";
-import { HEADER_BYTES, RAW, RESTORED, SHEAR, packet, parse } from "../../tactiled/web/static/wire/wire.js";
+import { HEADER_BYTES, RAW, RESTORED, SHEAR, TRACTION, kindsOf, packet, parse } from "../../tactiled/web/static/wire/wire.js";
 
 /** A message as the service packs it; `over` replaces parts of the header. */
 function message(kind, sequence, { rows = 1, columns = 2, values = [1, NaN], flags = [], over = {} } = {}) {
@@ -108,7 +108,7 @@ const frame = (sequence, over) =>
 /** A session, its socket, and what it reported; it is painted after each frame. */
 function watch(shear = false) {
   const events = [];
-  const session = new Session("palm", plane, shear, true, shear, {
+  const session = new Session("palm", plane, kindsOf({ shear, traction: shear }), true, shear, {
     onFrame: (each) => {
       events.push(each.sequence);
       session.painted();
@@ -184,15 +184,17 @@ test("a live frame that waited is held back and replaced, and shown where the se
 test("shear comes with its frame and into the CSV", () => {
   const { session, socket } = watch(true);
   socket.deliver(...frame(3), message(SHEAR, 3, { values: [5, NaN, -6, NaN] }));
+  assert.equal(session.frame, null);
+  socket.deliver(message(TRACTION, 3, { values: [0.5, NaN, -0.25, NaN] }));
   const lines = csvText(plane, session.frame, provenance("palm", session.frame, null, "live")).split("\n");
   assert.deepEqual(lines.slice(0, 3), ["# sensor: palm", "# frame: 3", "# time: 1970-01-01T00:00:00.300Z"]);
   assert.deepEqual(lines.filter((each) => each[0] !== "#").slice(0, -1), [
-    "image,row,column,x_mm,y_mm,kpa,flags,shear_x_counts,shear_y_counts", "raw,0,0,0,0,1,0,5,-6",
-      "raw,0,1,1,0,,1,,",
-    "restored,0,0,0,0,1,,,", "restored,0,1,1,0,,,,",
+    "image,row,column,x_mm,y_mm,kpa,flags,shear_x_counts,shear_y_counts,shear_x_kpa,shear_y_kpa", "raw,0,0,0,0,1,0,5,-6,,",
+      "raw,0,1,1,0,,1,,,,",
+    "restored,0,0,0,0,1,,,,0.5,-0.25", "restored,0,1,1,0,,,,,,",
   ]);
   session.ask(false, false);
-  assert.doesNotMatch(FakeSocket.last.url, /shear|contacts/);
+  assert.doesNotMatch(FakeSocket.last.url, /shear|traction|contacts/);
 });
 
 test("a connection that sends what nobody requested is closed and retried, later each time", () => {

@@ -7,21 +7,24 @@ import pytest
 from PIL import Image
 
 from tactiled.web.server import running
-from tests.conftest import ask
+from tests.conftest import ask, until
 from tests.skin import PALM, Z, rigged
 from tests.viewer.conftest import FITS, LIVE
 
 REST = np.zeros(6, int)
 X = np.array([1000, 0, 0, -600, 300, 900])  # counts; the last taxel is dead
 Y = np.array([0, 0, -800, 600, 520, 900])
+SCALE = ", no_load = 36864, noise_kpa = 0.1, shear_n_per_count = 0.000016"
+PRESSED = Z + np.array([9000, 9000, 0, 9000, 9000, 0])
 KEY = "document.getElementById('shear-key').innerText"
+RESTORED_KEY = "document.getElementById('traction-key')"
 NO_CHOICE = "document.getElementById('shear-choice').hidden"
 TILE_KEY = "document.querySelector('.tile .shear-key')"
 
 
 @pytest.fixture
 def rig(request):
-    with rigged(request.node.name) as made:
+    with rigged(request.node.name, scale=getattr(request, "param", "")) as made:
         made.stale_after(0.3)  # an image that a busy page was too late for is shown then
         yield made
 
@@ -63,14 +66,25 @@ def test_arrows_keep_to_their_frames_and_nothing_is_inaccessible_or_cut_off(rig,
     assert raw["y"] == pytest.approx(page.box("#restored")["y"], abs=0.5)
 
 
+@pytest.mark.parametrize("rig", [SCALE], indirect=True)
 def test_shear_is_read_saved_and_switched_off(rig, url, open_page):
     rig.show(REST, REST)
     page = open_page(url)
-    page.show(rig, X, Y)
+    page.show(rig, X, Y, PRESSED)
+    assert page.evaluate(f"{RESTORED_KEY}.hidden")  # not tared yet
+    rig.show(REST, REST)
+    rig.sensor.tare(force=True)
+    until(lambda: rig.show(REST, REST) and rig.sensor.pipeline.tares.done)
+    page.keep(lambda: rig.show(X, Y, PRESSED), f"parseFloat({RESTORED_KEY}.innerText) > 0.5")
+    image = page.show(rig, X, Y, PRESSED)
+    assert inked(page.pixels("restored-shear")).sum() > 60
+    largest = np.hypot(*image.traction).max()
+    shown = float(page.evaluate(f"{RESTORED_KEY}.innerText").removesuffix(" kPa"))
+    assert largest <= shown < 2.6 * largest
     frame = page.box("#raw")
     for column, row, words in (
-        (1, 3, "shear −600, 600 counts (taxel r1 c0)"),
-        (5, 3, re.compile(r"restored [\d.]+ kPa \(taxel r1 c2, dead\)")),
+        (1, 3, re.compile(r"shear −600, 600 counts, −?[\d.]+, −?[\d.]+ kPa \(taxel r1 c0\)")),
+        (5, 3, re.compile(r"restored [\d.]+ kPa, shear −?[\d.]+, −?[\d.]+ kPa \(taxel r1 c2, dead\)")),
     ):
         page.mouse.click(frame["x"] + column * frame["width"] / 6, frame["y"] + row * frame["height"] / 4)
         page.locator("#probe", has_text=words).wait_for()
@@ -79,10 +93,11 @@ def test_shear_is_read_saved_and_switched_off(rig, url, open_page):
     for on, action in ((False, page.locator("#shear-on").uncheck), (True, lambda: page.press("v"))):
         with page.expect_websocket() as opened:
             action()
-        assert ("kinds=raw,restored,shear" in opened.value.url) == on
-        page.show(rig, X, Y)
+        assert ("kinds=raw,restored,shear,traction" in opened.value.url) == on
+        page.show(rig, X, Y, PRESSED)
         page.wait(f"document.getElementById('shear-key').hidden === {str(not on).lower()}")
-        assert inked(page.pixels("raw-shear")).any() == on
+        assert page.evaluate(f"{RESTORED_KEY}.hidden") != on
+        assert all(inked(page.pixels(name)).any() == on for name in ("raw-shear", "restored-shear"))
 
 
 def test_the_wall_has_arrows_on_the_same_socket_and_a_sensor_without_shear_has_none(request, open_page):

@@ -26,7 +26,7 @@ from tactiled.web.rest.openapi import EVERY_RESOURCE, MEDIA, problems, success
 from tactiled.web.rest.recorded_series import SensorQuery, SeriesQuery
 from tactiled.web.rest.recordings import FileName, Recordings
 from tactiled.web.rest.regions import RegionMeasures
-from tactiled.wire import PRESSURES, SHEARED, pack
+from tactiled.wire import PRESSURES, Kind, pack
 
 MAX_OPEN = 4  # recordings whose frames are on the disk; the one used longest ago makes room
 IDLE_S = 600.0  # after its last request a recording's frames are given up
@@ -112,6 +112,7 @@ class FramesQuery(MethodQuery):
     count: int = Field(1, ge=1, le=MAX_FRAMES, description="frames at most; fewer if restoring them takes long")
     step: int = Field(1, ge=1, le=100_000, description="from one frame to the next")
     shear: bool = Field(False, description="whether its shear comes behind raw and restored")
+    traction: bool = Field(False, description="whether its shear comes behind these as restored")
 
 
 class Playbacks:
@@ -226,14 +227,18 @@ def _state(playbacks: Playbacks, sensor: Sensor, recorded: RecordedFrames) -> Re
 
 def _images(playbacks: Playbacks, query: FramesQuery, sensor: Sensor, recorded: RecordedFrames) -> Response:
     """Messages of some frames, restored until ANSWER_S have passed."""
+    kinds: tuple[Kind, ...] = PRESSURES
     if query.shear:
         sensor.need_shear()
+        kinds = (*kinds, "shear")
+    if query.traction:
+        sensor.need_traction()
+        kinds = (*kinds, "traction")
     playback = playbacks.playback(sensor, recorded)
     first = _number_at(sensor, recorded, query.at or 0.0) if query.first is None else query.first
     need_frame(sensor, recorded, first)
     last = min(recorded.count(sensor.name), first + query.count * query.step)
-    kinds, end = (SHEARED if query.shear else PRESSURES), time.monotonic() + ANSWER_S
-    messages, positions = [], []
+    messages, positions, end = [], [], time.monotonic() + ANSWER_S
     for number in range(first, last, query.step):
         image = playback.image(number, query.method or sensor.method)
         messages += [pack(image, kind, time.time()) for kind in kinds]

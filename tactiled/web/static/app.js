@@ -20,6 +20,7 @@ import { canUndo } from "./calibration/tare.js";
 import { theme } from "./shell/theme.js";
 import { Viewer } from "./shell/viewer.js";
 import { Wall } from "./shell/wall.js";
+import { kindsOf } from "./wire/wire.js";
 
 /** @import { Sensor } from "./wire/api.js" */
 /** @import { Status } from "./wire/sensor_stream.js" */
@@ -108,7 +109,7 @@ function writeAddress() {
 function showSensor() {
   const sensor = sensors.find((each) => each.name === viewer.name);
   if (!sensor) return;
-  if (viewer.session && viewer.session.hasShear !== sensor.shear) viewer.reopen(sensor.name);
+  if (viewer.session && viewer.session.kinds.join() !== kindsOf(sensor).join()) viewer.reopen(sensor.name);
   screen.readings.about(sensor);
   recorder.read();
   const names = sensor.methods.includes(sensor.method) ? sensor.methods : [sensor.method, ...sensor.methods];

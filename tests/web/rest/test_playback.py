@@ -220,7 +220,8 @@ def test_what_cannot_be_played_is_refused_in_a_line(client, folder):
     assert problem(get("/a.log/frames", first=60), 404) == (
         "recording a.log: no frame 60: it has 60 frames of sensor palm"
     )
-    assert "no shear" in problem(get("/a.log/frames", shear=True), 404)
+    for kind in ("shear", "traction"):
+        assert "no shear" in problem(get("/a.log/frames", **{kind: True}), 404)
     assert problem(get("/a.log/frames", first=0, at=0.2), 422) == "first and at: give one of them"
     broken = opened(client, "bad.log")
     assert broken["frames"] == 14  # the last one half

@@ -13,20 +13,23 @@ import { UNITS } from "../shell/units.js";
  * @returns {string}
  */
 export function csvText(plane, frame, origin) {
-  const { sheared, shear } = frame;
+  const { sheared, shear, traction } = frame;
+  const count = plane.restored.count;
+  const dragged = sheared && traction.length > 0;
   const pressure = UNITS[frame.unit].toLowerCase();
   const lines = [
     ...origin.map(([name, value]) => `# ${name}: ${value}`),
     `# pitch_mm: ${plane.pitch}`,
     `# ${pressure} is empty where there is no data; flags: 1 missing, 2 bad, 4 dead, 8 saturated, 16 out of range, 32 faulty, 64 far below zero`,
-    `image,row,column,x_mm,y_mm,${pressure},flags${sheared ? ",shear_x_counts,shear_y_counts" : ""}`,
+    `image,row,column,x_mm,y_mm,${pressure},flags${sheared ? ",shear_x_counts,shear_y_counts" : ""}${dragged ? ",shear_x_kpa,shear_y_kpa" : ""}`,
   ];
   for (let i = 0; i < plane.raw.count; i += 1) {
     const shears = sheared ? `,${decimal(shear[i])},${decimal(shear[plane.raw.count + i])}` : "";
-    lines.push(`raw,${place(plane.raw, i)},${decimal(frame.raw[i])},${frame.flags[i]}${shears}`);
+    lines.push(`raw,${place(plane.raw, i)},${decimal(frame.raw[i])},${frame.flags[i]}${shears}${dragged ? ",," : ""}`);
   }
-  for (let i = 0; i < plane.restored.count; i += 1) {
-    if (plane.restored.area[i]) lines.push(`restored,${place(plane.restored, i)},${decimal(frame.restored[i])},${sheared ? ",," : ""}`);
+  for (let i = 0; i < count; i += 1) {
+    const loads = dragged ? `,${decimal(traction[i])},${decimal(traction[count + i])}` : "";
+    if (plane.restored.area[i]) lines.push(`restored,${place(plane.restored, i)},${decimal(frame.restored[i])},${sheared ? ",," : ""}${loads}`);
   }
   return `${lines.join("\n")}\n`;
 }

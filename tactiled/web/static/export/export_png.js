@@ -5,7 +5,7 @@ import { context2d, themeColors } from "../shell/dom.js";
 import { fixed } from "../shell/format.js";
 import { AXIS_BOTTOM_PX, AXIS_LEFT_PX, drawAxes } from "../maps/map_axes.js";
 import { endsAndTicks, tickText } from "../charts/ticks.js";
-import { UNITS, forceText, lengthText, pressureText, shearText } from "../shell/units.js";
+import { UNITS, forceText, lengthText, pressureText } from "../shell/units.js";
 
 /** @import { Colormap } from "../maps/colormap.js" */
 /** @import { DisplayRange } from "../maps/display_range.js" */
@@ -55,15 +55,16 @@ export function picture({ name, plane }, frame, { maps, view, range, shear }, co
   const width = Math.max(shown.length * step + LEGEND_PX, widest([title], TITLE_PX), MIN_TEXT_PX);
   const said = origin.slice(2).map(([what, value]) => (what === "time" || what === "state" ? value : `${what} ${value}`));
   const lines = wrap([...said, size].join(", "), width, TEXT_PX);
-  const arrows = shear && frame.sheared && shown.some(({ frames }) => frames.includes(maps.raw.frame));
-  const height = TOP_PX + bodyHeight + AXIS_BOTTOM_PX + BOTTOM_PX + LINE_PX * (lines.length + (arrows ? 1 : 0));
+  const arrows = [maps.arrows, maps.restoredArrows].filter(({ canvas, empty }) =>
+    shear && !empty && shown.some(({ frames }) => frames.some((each) => each.contains(canvas))));
+  const height = TOP_PX + bodyHeight + AXIS_BOTTOM_PX + BOTTOM_PX + LINE_PX * (lines.length + arrows.length);
   const sheet = new Sheet(2 * MARGIN_PX + width, height, bodyHeight, ratio);
   sheet.write(title, MARGIN_PX, 32, TITLE_PX);
   const left = MARGIN_PX + AXIS_LEFT_PX;
   shown.forEach((each, i) => sheet.map(each, left + i * step, w, h, plane, view.cut, below[i]));
   const foot = TOP_PX + bodyHeight + AXIS_BOTTOM_PX + 84;
   lines.forEach((each, at) => sheet.write(each, MARGIN_PX, foot + LINE_PX * at, TEXT_PX, sheet.ink.muted));
-  if (arrows) sheet.arrow(maps.arrows, MARGIN_PX, foot + LINE_PX * lines.length, w);
+  arrows.forEach((each, at) => sheet.arrow(each, MARGIN_PX, foot + LINE_PX * (lines.length + at), w));
   sheet.legend(left + shown.length * step - AXIS_LEFT_PX, signed ? maps.differenceRange : range, signed ?? colormap, frame.unit);
   return sheet.canvas;
 }
@@ -184,7 +185,7 @@ class Sheet {
   arrow(arrows, x, y, w) {
     const length = arrows.share * w;
     arrows.drawKey(this._pen, x + length / 2, y - 5, length, 1);
-    this.write(`shear of ${shearText(arrows.counts)}`, x + length + 10, y, 15, this.ink.muted);
+    this.write(`shear of ${arrows.text}`, x + length + 10, y, 15, this.ink.muted);
   }
 
   /** @param {number} x @param {DisplayRange} range @param {Colormap} colormap @param {number} unit */

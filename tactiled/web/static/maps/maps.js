@@ -10,7 +10,7 @@ import { Heatmap } from "./heatmap.js";
 import { AXIS_BOTTOM_PX, AXIS_LEFT_PX, MapAxes } from "./map_axes.js";
 import { Overlay } from "./overlay.js";
 import { Projection } from "./projection.js";
-import { ShearArrows } from "./shear_arrows.js";
+import { ON_COVER, SENSED, ShearArrows } from "./shear_arrows.js";
 import { Surface } from "./surface.js";
 import { UNITS } from "../shell/units.js";
 
@@ -32,7 +32,8 @@ export class Maps {
     this.restored = new Heatmap(byId("restored"), byId("restored-frame"));
     this.rawMarks = new Overlay(byId("raw-marks"));
     this.restoredMarks = new Overlay(byId("restored-marks"));
-    this.arrows = new ShearArrows(byId("raw-shear"), byId("shear-key"));
+    this.arrows = new ShearArrows(byId("raw-shear"), byId("shear-key"), SENSED);
+    this.restoredArrows = new ShearArrows(byId("restored-shear"), byId("traction-key"), ON_COVER);
     this.colorbar = new Colorbar(byId("colorbar"));
     /** Restored less raw, by cell of the restored map. */
     this.difference = new Heatmap(byId("difference"), byId("difference-frame"));
@@ -82,6 +83,7 @@ export class Maps {
     this._plane = null;
     for (const each of [...this._maps, ...this._values, ...this._surfaces, ...this._paths, this.rawMarks, this.restoredMarks]) each.clear();
     this.arrows.reset();
+    this.restoredArrows.reset();
     this.colorbar.clear();
     this._differenceColorbar.clear();
   }
@@ -102,6 +104,8 @@ export class Maps {
     this.restoredMarks.draw(marks, frame.ofRestored, flags);
     if (shear && frame.sheared) this.arrows.draw(frame.shear, frame.timestamp);
     else this.arrows.clear();
+    if (shear && frame.sheared && frame.traction.length) this.restoredArrows.draw(frame.traction, frame.timestamp);
+    else this.restoredArrows.clear();
     if (view.name === "difference" && view.signed) this._paintDifference(frame, view.signed);
     if (view.name !== "surface") return;
     this._surfaces[0].paint(frame.raw, range, colormap, frame.unit);
@@ -207,6 +211,7 @@ export class Maps {
     this.rawMarks.resize(plane, zoom);
     this.restoredMarks.resize(plane, zoom);
     this.arrows.resize(plane, zoom);
+    this.restoredArrows.resize(plane, zoom);
     const tops = this._maps.filter((each) => each.frame.offsetParent).map((each) => each.frame.getBoundingClientRect().top);
     const mapHeight = surface ? box.clientHeight - AXIS_BOTTOM_PX : Math.max(...tops) - Math.min(...tops) + plane.height * zoom;
     maps.style.setProperty("--map-height", `${mapHeight}px`);

@@ -1,5 +1,5 @@
 /**
- * Shear as arrows over a map: one a taxel, about its middle, in the direction that it is pulled, on a scale of counts.
+ * Shear as arrows over a map: one a taxel or a restored cell, about its middle, in the direction that it is pulled.
  * Light on dark, as every mark on a map, and of a colour that neither the map nor the other marks have.
  * @module
  */
@@ -7,12 +7,20 @@
 import { DisplayRange } from "./display_range.js";
 import { fitCanvas, context2d, setText } from "../shell/dom.js";
 import { ShearNoise } from "./shear_noise.js";
-import { shearText } from "../shell/units.js";
+import { UNITS, shearText } from "../shell/units.js";
 
 /** @import { Plane } from "./geometry.js" */
 
-const MIN_SCALE_COUNTS = 50; // counts, the least that the longest arrow stands for: noise alone is not drawn large
-const PITCH_SHARE = 0.9; // of the pitch, the longest arrow's length
+/**
+ * What arrows are of; `least` is what the longest one stands for at least: noise alone is not drawn large.
+ * @typedef {{cells: "raw"|"restored", least: number, text: (value: number) => string}} Kind
+ */
+
+/** @type {Kind} */
+export const SENSED = { cells: "raw", least: 50, text: shearText };
+/** @type {Kind} */
+export const ON_COVER = { cells: "restored", least: 0.5, text: (value) => `${+value.toPrecision(2)} ${UNITS[0]}` };
+const PITCH_SHARE = 0.9; // of the way from one arrow to the next, the longest one's length
 const MAX_WIDTH_SHARE = 0.16; // of the map's width, at most: the key stands above it
 const LENGTH_BOUNDS_PX = /** @type {const} */ ([14, 56]); // CSS px, within which it is; where taxels are near, arrows overlap
 const MIN_LENGTH_PX = 5; // CSS px, what is drawn at all
@@ -68,10 +76,12 @@ export class ShearArrows {
   /**
    * @param {HTMLCanvasElement} canvas over the map
    * @param {HTMLElement} key of the longest arrow: a canvas and a text
+   * @param {Kind} of
    */
-  constructor(canvas, key) {
+  constructor(canvas, key, of) {
+    this._of = of;
     this.canvas = canvas;
-    this.range = new DisplayRange(MIN_SCALE_COUNTS);
+    this.range = new DisplayRange(of.least);
     this._noise = new ShearNoise();
     this._pen = context2d(canvas);
     this._key = key;
@@ -83,11 +93,14 @@ export class ShearArrows {
     this._ratio = 1;
     /** Device px per mm. */
     this._px = 1;
+    /** Of so many cells along each axis one has an arrow. */
+    this._step = 1;
     /** Length of the longest arrow, device px. */
     this._long = 0;
-    /** Counts that the key shows; 0: to be redrawn. */
-    this._keyCounts = 0;
-    this._empty = true;
+    /** Value that the key shows; 0: to be redrawn. */
+    this._keyValue = 0;
+    /** Whether nothing is drawn. */
+    this.empty = true;
     /**
      * What is drawn: a frame's buffer is used again, but not with the same time.
      * @type {{shear: Float32Array, timestamp: number}}
@@ -95,9 +108,9 @@ export class ShearArrows {
     this._last = { shear: NO_SHEAR, timestamp: NaN };
   }
 
-  /** @returns {number} counts that the longest arrow stands for */
-  get counts() {
-    return this.range.high;
+  /** @returns {string} what the longest arrow stands for */
+  get text() {
+    return this._of.text(this.range.high);
   }
 
   /** @returns {number} its length, as a share of the map's width */
@@ -110,9 +123,12 @@ export class ShearArrows {
     this._plane = plane;
     this._ratio = fitCanvas(this.canvas, plane.width * zoom, plane.height * zoom);
     this._px = zoom * this._ratio;
-    const long = Math.min(PITCH_SHARE * plane.pitch, MAX_WIDTH_SHARE * plane.width) * zoom;
+    const restored = this._of.cells === "restored";
+    this._step = restored ? Math.ceil(LENGTH_BOUNDS_PX[0] / (plane.restored.side * zoom)) : 1;
+    const apart = restored ? this._step * plane.restored.side : plane.pitch;
+    const long = Math.min(PITCH_SHARE * apart, MAX_WIDTH_SHARE * plane.width) * zoom;
     this._long = Math.max(LENGTH_BOUNDS_PX[0], Math.min(LENGTH_BOUNDS_PX[1], long)) * this._ratio;
-    this._keyCounts = 0;
+    this._keyValue = 0;
     this._last.shear = NO_SHEAR;
   }
 
@@ -126,25 +142,31 @@ export class ShearArrows {
   /** Show nothing. */
   clear() {
     this._key.hidden = true;
-    if (!this._empty) this._pen.clearRect(0, 0, this.canvas.width, this.canvas.height);
-    this._empty = true;
+    if (!this.empty) this._pen.clearRect(0, 0, this.canvas.width, this.canvas.height);
+    this.empty = true;
     this._last.shear = NO_SHEAR;
   }
 
   /**
    * Draw a frame's arrows, unless they are drawn already.
-   * @param {Float32Array} shear counts along x of all taxels, then along y; NaN where nothing is known
+   * @param {Float32Array} shear along x of all taxels or cells, then along y; NaN where nothing is known
    * @param {number} timestamp of its frame, Unix s
    */
   draw(shear, timestamp) {
     const plane = this._plane;
     const last = this._last;
     if (!plane || (last.shear === shear && last.timestamp === timestamp)) return;
+    if (!this._follow(shear, timestamp)) {
+      this.clear();
+      return;
+    }
     last.shear = shear;
     last.timestamp = timestamp;
-    this._follow(shear, timestamp);
     const draw = this._pen;
-    const { count, x, y } = plane.raw;
+    const { count, rows, columns, x, y } = plane[this._of.cells];
+    const { _step: step } = this;
+    const first = ((columns - 1) % step) >> 1;
+    const top = ((rows - 1) % step) >> 1;
     const slope = (SUBPIXELS * this._long) / this.range.high;
     const px = SUBPIXELS * this._px;
     const minLength = Math.max(MIN_LENGTH_PX * SUBPIXELS * this._ratio, slope * MIN_DEVIATIONS * this._noise.deviation) ** 2;
@@ -154,6 +176,7 @@ export class ShearArrows {
     draw.scale(1 / SUBPIXELS, 1 / SUBPIXELS);
     draw.beginPath();
     for (let i = 0; i < count; i += 1) {
+      if (step > 1 && ((i % columns) % step !== first || ((i / columns) | 0) % step !== top)) continue;
       const dx = slope * shear[i];
       const dy = slope * shear[count + i];
       if (!(dx * dx + dy * dy >= minLength)) continue; // NaN too
@@ -161,7 +184,7 @@ export class ShearArrows {
     }
     strokeArrows(draw, this._ratio);
     draw.restore();
-    this._empty = false;
+    this.empty = false;
     this._updateKey();
   }
 
@@ -169,28 +192,31 @@ export class ShearArrows {
    * Let the longest arrow stand for a round number that is not below the largest shear.
    * @param {Float32Array} shear
    * @param {number} timestamp
+   * @returns {boolean} some is known
    */
   _follow(shear, timestamp) {
     const count = shear.length / 2;
-    let largest = 0;
+    let largest = -1;
     for (let i = 0; i < count; i += 1) {
       const square = shear[i] * shear[i] + shear[count + i] * shear[count + i];
       if (square > largest) largest = square;
     }
+    if (largest < 0) return false;
     this._noise.follow(shear, timestamp);
     this.range.follow(Math.sqrt(largest), this._noise.deviation, timestamp);
+    return true;
   }
 
   /** Bring the key up to date. */
   _updateKey() {
     this._key.hidden = false;
-    if (this._keyCounts === this.range.high) return;
-    this._keyCounts = this.range.high;
+    if (this._keyValue === this.range.high) return;
+    this._keyValue = this.range.high;
     const ratio = this._ratio;
     fitCanvas(this._keyCanvas, this._long / ratio + 12, 20);
     this._keyCanvas.style.width = `${this._long / ratio + 12}px`;
     this.drawKey(this._keyPen, this._keyCanvas.width / 2, this._keyCanvas.height / 2, this._long, ratio);
-    setText(this._keyText, shearText(this._keyCounts));
+    setText(this._keyText, this.text);
   }
 
   /**

@@ -6,7 +6,7 @@ import { messageOf, notice } from "../shell/notice.js";
 import { PlaybackClock, rateOf, splitFrames, stepOf } from "./playback_clock.js";
 import { Timeline } from "../shell/timeline.js";
 import { unitOf } from "../shell/units.js";
-import { RAW, RESTORED, SHEAR, messageBytes, packet, parse } from "../wire/wire.js";
+import { KIND_NAMES, PRESSURES, TRACTION, kindOf, messageBytes, packet, parse } from "../wire/wire.js";
 
 /** @import { Played, PlayedFrame, PlayedRegion } from "../wire/api.js" */
 /** @import { Frame } from "../wire/frame_history.js" */
@@ -31,17 +31,17 @@ export class PlaybackSession {
   /**
    * @param {string} name
    * @param {Plane} plane
-   * @param {boolean} hasShear whether the skin measures shear
+   * @param {number[]} kinds of image that the sensor has
    * @param {boolean} shear whether it is requested, if so
    * @param {Played} recorded
    * @param {{onFrame: (frame: Frame) => void, onChange: () => void}} listener
    */
-  constructor(name, plane, hasShear, shear, recorded, listener) {
+  constructor(name, plane, kinds, shear, recorded, listener) {
     this.name = name;
     this.plane = plane;
-    this.hasShear = hasShear;
+    this.kinds = kinds;
     this.recorded = recorded;
-    this.history = new FrameHistory(plane, hasShear);
+    this.history = new FrameHistory(plane, kinds);
     this.unit = unitOf(recorded.unit);
     /** Which frame is shown, or is about to be. */
     this.number = 0;
@@ -60,7 +60,7 @@ export class PlaybackSession {
     this.deviations = { request() {}, at: (/** @type {number} */ _timestamp) => null };
     this.freshness = { minDelay: Infinity, heldBack: 0 };
     this.stream = { link: "open", retry() {} };
-    this._shear = hasShear && shear;
+    this._asked = shear ? kinds : PRESSURES;
     this._listener = listener;
     /** @type {Fetched[]} */
     this._queue = [];
@@ -75,7 +75,7 @@ export class PlaybackSession {
     /** @type {Health} */
     this._health = PLAYBACK;
     this._stopped = false;
-    this._packets = [packet(), packet(), packet()];
+    this._packets = KIND_NAMES.map(() => packet());
     this._tick = this._tick.bind(this);
     requestAnimationFrame(this._tick);
   }
@@ -125,7 +125,7 @@ export class PlaybackSession {
 
   /** @param {boolean} _contacts @param {boolean} shear whether it is requested from now on */
   ask(_contacts, shear) {
-    this._shear = this.hasShear && shear;
+    this._asked = shear ? this.kinds : PRESSURES;
     this._seek(this.number);
   }
 
@@ -229,11 +229,12 @@ export class PlaybackSession {
       this.clock.seek(position, now);
       this._sought = false;
     }
-    const [raw, restored, shear] = [RAW, RESTORED, SHEAR].map((kind) =>
-      kind < messages.length ? parse(messages[kind], this._packets[kind]) : null);
-    if (!raw || !restored || !this.history.fits(raw, restored, shear)) return;
-    this.unit = restored.unit;
-    this._listener.onFrame(this.history.push(raw, restored, shear));
+    const kinds = messages.map(kindOf);
+    messages.forEach((each, i) => parse(each, this._packets[kinds[i]]));
+    if (!this.history.fits(this._packets, kinds)) return;
+    const frame = this.history.push(this._packets, kinds);
+    this.unit = frame.unit;
+    this._listener.onFrame(frame);
     if (this.paused) this._listener.onChange();
   }
 
@@ -242,9 +243,9 @@ export class PlaybackSession {
     const turn = this._turn;
     const { name, recorded, clock, method } = this;
     const step = clock.playing ? stepOf(recorded.frames, recorded.duration_s, clock.speed) : 1;
-    const kinds = this._shear ? 3 : 2;
+    const kinds = this._asked.length;
     /** @type {Record<string, string|number|boolean>} */
-    const query = { sensor: name, count: clock.playing ? CHUNK : 1, step, shear: this._shear };
+    const query = { sensor: name, count: clock.playing ? CHUNK : 1, step, shear: kinds > PRESSURES.length, traction: this._asked.includes(TRACTION) };
     if (method) query.method = method;
     if (this._seekTo === null) query.first = this._next;
     else query.at = this._seekTo;

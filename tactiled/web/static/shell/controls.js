@@ -17,6 +17,7 @@ import { reportHtml } from "../export/report.js";
 import { saveSetting } from "./storage.js";
 import { tare, undoTare } from "../calibration/tare.js";
 import { timeOffset } from "./timeline.js";
+import { SHEAR } from "../wire/wire.js";
 import { withToken } from "../wire/token_dialog.js";
 
 /** @import { CalibrationPage } from "../calibration/calibration_page.js" */
@@ -301,7 +302,7 @@ function keyboard(viewer, targets) {
     ">": () => targets.playback.changeSpeed(1),
     a: () => setAuto(!viewer.range.auto, viewer, targets),
     o: () => contacts.click(),
-    v: () => viewer.session?.hasShear && shear.click(),
+    v: () => viewer.session?.kinds.includes(SHEAR) && shear.click(),
     t: () => targets.playback.refuses("tare") || tare(viewer.name),
     k: () => targets.playback.refuses("calibrate") || targets.calibration.open(),
     r: () => targets.playback.refuses("record") || targets.recorder.toggle(),

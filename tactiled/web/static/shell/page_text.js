@@ -2,14 +2,14 @@
 
 import { ContactTable } from "../maps/contact_table.js";
 import { byId, setText } from "./dom.js";
-import { fixed, positionText } from "./format.js";
+import { fixed, number, positionText } from "./format.js";
 import { ACROSS } from "../maps/geometry.js";
 import { CONNECTING } from "./health.js";
 import { PlaybackSession } from "../playback/playback_session.js";
 import { Readings } from "./readings.js";
 import { timeOffset } from "./timeline.js";
 import { FORCE_UNITS, UNITS, lengthText, pressureText, shearText } from "./units.js";
-import { BAD, BELOW_ZERO, DEAD, FAULTY, MISSING, OUT_OF_RANGE, SATURATED } from "../wire/wire.js";
+import { BAD, BELOW_ZERO, DEAD, FAULTY, MISSING, OUT_OF_RANGE, SATURATED, SHEAR } from "../wire/wire.js";
 
 /** @import { DisplayRange } from "../maps/display_range.js" */
 /** @import { Frame } from "../wire/frame_history.js" */
@@ -59,7 +59,7 @@ export class PageText {
     this._health(health, viewer.name, paused, session?.stream.link === "closed");
     if (replayed_s !== null && health.level === "live" && !paused) setText(byId("pill-text"), `replay ${positionText(replayed_s)}`);
     document.body.classList.toggle("replayed", replayed_s !== null);
-    this._shear.hidden = !session?.hasShear;
+    this._shear.hidden = !session?.kinds.includes(SHEAR);
     const live = health.level === "live";
     this.readings.frame(frame);
     this.readings.status(session?.status ?? null, live || health.level === "playback");
@@ -202,8 +202,11 @@ function reading(plane, frame, x, y, compared) {
   const difference = compared && !Number.isNaN(off) ? `, difference ${off >= 0.05 ? "+" : ""}${pressureText(off, frame.unit)}` : "";
   const flags = FLAG_NAMES.filter(([bit]) => frame.flags[r] & bit).map(([, name]) => `, ${name}`).join("");
   const taxel = plane.isGrid ? `taxel r${Math.floor(r / plane.raw.columns)} c${r % plane.raw.columns}` : `taxel ${r}`;
-  const sheared = frame.sheared && !Number.isNaN(frame.shear[r]);
-  const shear = sheared ? `, shear ${fixed(frame.shear[r], 0)}, ${shearText(fixed(frame.shear[plane.raw.count + r], 0))}` : "";
+  const shears = [];
+  if (frame.sheared && !Number.isNaN(frame.shear[r])) shears.push(fixed(frame.shear[r], 0), shearText(fixed(frame.shear[plane.raw.count + r], 0)));
+  const dragged = frame.sheared && frame.traction.length && !Number.isNaN(frame.traction[s]);
+  if (dragged) shears.push(number(frame.traction[s]), pressureText(frame.traction[plane.restored.count + s], 0));
+  const shear = shears.length ? `, shear ${shears.join(", ")}` : "";
   return `${place}: raw ${raw}, restored ${pressureText(frame.restored[s], frame.unit)}${difference}${shear} (${taxel}${flags})`;
 }
 

@@ -10,11 +10,11 @@ import { CONNECTING, healthOf } from "./health.js";
 import { Heatmap } from "../maps/heatmap.js";
 import { measure, measures } from "../maps/measures.js";
 import { messageOf } from "./notice.js";
-import { ShearArrows } from "../maps/shear_arrows.js";
+import { ON_COVER, SENSED, ShearArrows } from "../maps/shear_arrows.js";
 import { tickText } from "../charts/ticks.js";
 import { UNITS, forceText } from "./units.js";
 import { Warnings } from "./warnings.js";
-import { SHEAR } from "../wire/wire.js";
+import { RESTORED, SHEAR } from "../wire/wire.js";
 
 /** @import { Colormap } from "../maps/colormap.js" */
 /** @import { Status } from "../wire/sensor_stream.js" */
@@ -33,12 +33,12 @@ function layer() {
 export class Tile {
   /**
    * @param {string} name of the sensor
-   * @param {boolean} hasShear its shear comes, too
+   * @param {number} last kind of its images: SHEAR or TRACTION, or RESTORED where it has no shear
    * @param {WallStream} streams that it is one of
    * @param {() => void} onImage there is something to paint
    * @param {() => void} onChoose
    */
-  constructor(name, hasShear, streams, onImage, onChoose) {
+  constructor(name, last, streams, onImage, onChoose) {
     this.name = name;
     /** Largest pressure of the newest image, in `unit`. */
     this.peak = 0;
@@ -58,7 +58,8 @@ export class Tile {
     this._force = element("span", "force");
     this._warningText = element("span", "warning");
     const under = element("span", "under", this._warningText);
-    this._arrows = hasShear ? this._addArrows(under) : null;
+    this._last = last;
+    this._arrows = last === RESTORED ? null : this._addArrows(under);
     this._title = element("b", "");
     this._title.title = name;
     for (const part of name.split(/(?<=_)/)) this._title.append(part, element("wbr", ""));
@@ -110,7 +111,7 @@ export class Tile {
     key.title = "Shear: the longest arrow, x to the right, y down";
     this._frame.append(canvas);
     under.append(key);
-    return new ShearArrows(canvas, key);
+    return new ShearArrows(canvas, key, this._last === SHEAR ? SENSED : ON_COVER);
   }
 
   /** Learn the sensor's shape, again and again until it is there, and ask for its images. */
@@ -120,7 +121,7 @@ export class Tile {
       if (this._stopped) return;
       this._plane = plane;
       this._values = new Float32Array(plane.restored.count).fill(NaN);
-      this._shear = new Float32Array(2 * plane.raw.count).fill(NaN);
+      this._shear = new Float32Array(2 * plane[this._last === SHEAR ? "raw" : "restored"].count).fill(NaN);
       this._map.use(plane, plane.restored);
       this.layout();
     } catch (error) {
@@ -165,7 +166,7 @@ export class Tile {
       this._restart();
       return;
     }
-    if (image.kind === SHEAR) {
+    if (image.kind !== RESTORED) {
       this._shear.set(image.shear);
       this._timestamp = image.timestamp;
     } else {

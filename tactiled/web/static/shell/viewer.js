@@ -20,6 +20,7 @@ import { Session } from "../wire/session.js";
 import { TrendChart } from "../charts/trend_chart.js";
 import { FORCE_SCALES, FORCE_UNITS, UNITS, forceText, unitOf } from "./units.js";
 import { View } from "./view.js";
+import { kindsOf } from "../wire/wire.js";
 
 /** @import { Played, Sensor } from "../wire/api.js" */
 /** @import { Colormap } from "../maps/colormap.js" */
@@ -345,12 +346,12 @@ export class Viewer {
 
   /** @param {Sensor} sensor @param {Plane} plane @param {Played|null} recorded what is watched in its place */
   _open(sensor, plane, recorded) {
-    const { name, shear } = sensor;
+    const { name } = sensor;
     this.view.offerSurface(plane.isGrid);
     this.maps.use(plane);
     this.section.use(plane);
     this.marks.along = plane.along;
-    this.session = recorded ? new PlaybackSession(name, plane, shear, this.shear, recorded, {
+    this.session = recorded ? new PlaybackSession(name, plane, kindsOf(sensor), this.shear, recorded, {
       onFrame: (frame) => this._take(frame),
       onChange: () => {
         this._listener.onChange();
@@ -368,8 +369,9 @@ export class Viewer {
   }
 
   /** @param {Sensor} sensor @param {Plane} plane @returns {Session} */
-  _live({ name, shear, unit }, plane) {
-    const session = new Session(name, plane, shear, this.contacts, this.shear, {
+  _live(sensor, plane) {
+    const { name, unit } = sensor;
+    const session = new Session(name, plane, kindsOf(sensor), this.contacts, this.shear, {
       onFrame: (frame, resumed) => {
         this._take(frame);
         if (resumed) this._listener.onChange();

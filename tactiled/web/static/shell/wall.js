@@ -6,6 +6,7 @@ import { byId } from "./dom.js";
 import { Tile } from "./tile.js";
 import { unitOf } from "./units.js";
 import { WallStream } from "../wire/wall_stream.js";
+import { PRESSURES, RESTORED, SHEAR, TRACTION, kindsOf } from "../wire/wire.js";
 
 /** @import { Sensor } from "../wire/api.js" */
 /** @import { Colormap } from "../maps/colormap.js" */
@@ -69,8 +70,9 @@ export class Wall {
   /** Show these sensors; called again, it changes nothing where they are the same. @param {Sensor[]} sensors */
   show(sensors) {
     const names = sensors.map((each) => each.name);
-    const sheared = sensors.filter((each) => each.shear && this._viewer.shear).map((each) => each.name);
-    const url = wallUrl(names, sheared, RATE_HZ);
+    const shown = sensors.map((each) => (this._viewer.shear ? kindsOf(each).slice(PRESSURES.length).pop() ?? RESTORED : RESTORED));
+    const having = (/** @type {number} */ kind) => names.filter((_, i) => shown[i] === kind);
+    const url = wallUrl(names, having(SHEAR), having(TRACTION), RATE_HZ);
     if (this.open && url === this._url) {
       this._streams?.retry(); // the service answers, whatever the link's own wait
       return;
@@ -82,7 +84,7 @@ export class Wall {
     const streams = new WallStream(url);
     this._url = url;
     this._tiles = names.map(
-      (name) => new Tile(name, sheared.includes(name), streams, () => this.refresh(), () => this._onChoose(name)),
+      (name, i) => new Tile(name, shown[i], streams, () => this.refresh(), () => this._onChoose(name)),
     );
     this._tiles.forEach((each, i) => { each.unit = unitOf(sensors[i].unit); });
     this._grid.replaceChildren(...this._tiles.map((each) => each.element));

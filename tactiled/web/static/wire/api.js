@@ -1,6 +1,7 @@
 /** The service's JSON interface. @module */
 
 import { npy } from "../export/npy.js";
+import { KIND_NAMES } from "./wire.js";
 
 const ROOT = "/api/v1";
 const TIMEOUT_MS = 8000;
@@ -19,7 +20,7 @@ const APPLY_TIMEOUT_MS = 60_000; // a cover is solved
 /**
  * @typedef {{
  *   name: string, bus: string, codec: string, rows: number|null, columns: number|null, taxels: number,
- *   pitch_mm: number, shear: boolean, unit: string, method: string, methods: string[], state: State, age_s: number|null,
+ *   pitch_mm: number, shear: boolean, traction: boolean, unit: string, method: string, methods: string[], state: State, age_s: number|null,
  *   rate_hz: number, jitter_s: number|null, skew_s: number|null, position_s: number|null, clock: string|null,
  *   detail: string, loss: Loss,
  *   error_kinds: Record<string, number>, sequence: number|null
@@ -420,18 +421,22 @@ function socket(path) {
 /**
  * @param {string} name
  * @param {boolean} contacts whether they are to come, too
- * @param {boolean} shear whether it is to come, too
- * @returns {string} the address of both images, one pair at a time
+ * @param {number[]} kinds of image
+ * @returns {string} the address of a frame's images, those of one at a time
  */
-export const streamUrl = (name, contacts, shear) =>
+export const streamUrl = (name, contacts, kinds) =>
   // A little above the screen: the credits keep the pace, and a limit at the screen's own rate would miss turns.
-  socket(`${at(name)}/stream?kinds=raw,restored${shear ? ",shear" : ""}&rate_hz=75&flow=credit${contacts ? "&contacts=1" : ""}`);
+  socket(`${at(name)}/stream?kinds=${kinds.map((each) => KIND_NAMES[each]).join()}&rate_hz=75&flow=credit${contacts ? "&contacts=1" : ""}`);
 
 /**
  * @param {string[]} names
  * @param {string[]} sheared those of them whose shear is to come, too
+ * @param {string[]} dragged those whose restored shear is
  * @param {number} rate_hz at most, of each
  * @returns {string} the address of several sensors' restored images, one of each at a time
  */
-export const wallUrl = (names, sheared, rate_hz) =>
-  socket(`/stream?sensors=${names.join(",")}&kinds=restored${sheared.length ? `&shear=${sheared.join(",")}` : ""}&rate_hz=${rate_hz}&flow=credit`);
+export const wallUrl = (names, sheared, dragged, rate_hz) =>
+  socket(`/stream?sensors=${names.join(",")}&kinds=restored${among("shear", sheared)}${among("traction", dragged)}&rate_hz=${rate_hz}&flow=credit`);
+
+/** @param {string} key @param {string[]} names @returns {string} a part of a query */
+const among = (key, names) => (names.length ? `&${key}=${names.join(",")}` : "");

@@ -2,7 +2,7 @@
 
 import { isImageOf } from "../maps/geometry.js";
 import { measure, measures } from "../maps/measures.js";
-import { METHODS } from "./wire.js";
+import { METHODS, RAW, RESTORED, SHEAR, TRACTION } from "./wire.js";
 
 /** @import { Plane } from "../maps/geometry.js" */
 /** @import { Measures } from "../maps/measures.js" */
@@ -33,7 +33,8 @@ const GAP_S = 1; // between two frames, from which on no line joins their values
  * @property {string} method that was used; "" where it is unknown
  * @property {boolean} saturated any taxel is
  * @property {Float32Array} shear counts along x of all taxels, then along y; empty if the skin measures none
- * @property {boolean} sheared its shear is known
+ * @property {Float32Array} traction kPa along x of all cells, then along y, restored; empty if it is not
+ * @property {boolean} sheared both came with it
  * @property {Measures} ofRaw
  * @property {Measures} ofRestored
  */
@@ -76,16 +77,18 @@ export class ForceTrace {
 }
 
 export class FrameHistory {
-  /** @param {Plane} plane @param {boolean} hasShear shear */
-  constructor(plane, hasShear) {
+  /** @param {Plane} plane @param {number[]} kinds of image that the sensor has */
+  constructor(plane, kinds) {
     this._plane = plane;
     const { raw: { count: n }, restored: { count: m } } = plane;
-    const s = hasShear ? 2 * n : 0;
-    this.capacity = Math.max(2, Math.min(MAX_FRAMES, Math.floor(MAX_BYTES / (5 * n + 4 * m + 4 * s))));
+    const s = kinds.includes(SHEAR) ? 2 * n : 0;
+    const t = kinds.includes(TRACTION) ? 2 * m : 0;
+    this.capacity = Math.max(2, Math.min(MAX_FRAMES, Math.floor(MAX_BYTES / (5 * n + 4 * (m + s + t)))));
     const raw = new Float32Array(this.capacity * n);
     const restored = new Float32Array(this.capacity * m);
     const flags = new Uint8Array(this.capacity * n);
     const shear = new Float32Array(this.capacity * s);
+    const traction = new Float32Array(this.capacity * t);
     /** Rings of what is drawn over time, one value a frame at its place: Unix s, and ms (NaN if never painted). */
     this.times = new Float64Array(this.capacity);
     this.latencies = new Float64Array(this.capacity);
@@ -99,7 +102,7 @@ export class FrameHistory {
       // NaN, not 0: the browser keeps a place for a fraction only where there was one at first.
       unit: 0, sequence: 0, timestamp: NaN, sent: NaN, noise: NaN, noiseGain: NaN, resolutionMm: NaN, microseconds: NaN,
       iterations: 0, method: "", saturated: false, ofRaw: measures(), ofRestored: measures(),
-      shear: shear.subarray(i * s, (i + 1) * s), sheared: false,
+      shear: shear.subarray(i * s, (i + 1) * s), traction: traction.subarray(i * t, (i + 1) * t), sheared: false,
     }));
     this._head = 0;
     /** How many frames are kept. */
@@ -114,31 +117,35 @@ export class FrameHistory {
 
   /**
    * Does a frame fit this sensor's geometry?
-   * @param {Packet} raw
-   * @param {Packet} restored
-   * @param {Packet|null} shear null where it was not requested
+   * @param {Packet[]} images by kind
+   * @param {number[]} kinds that it has
    * @returns {boolean}
    */
-  fits(raw, restored, shear) {
+  fits(images, kinds) {
     const { raw: taxels, restored: cells } = this._plane;
-    return isImageOf(raw, taxels) && isImageOf(restored, cells) && (!shear || isImageOf(shear, taxels));
+    for (let i = 0; i < kinds.length; i += 1) {
+      if (!isImageOf(images[kinds[i]], kinds[i] === RAW || kinds[i] === SHEAR ? taxels : cells)) return false;
+    }
+    return true;
   }
 
   /**
    * Keep a frame, over the oldest where there is no more room.
-   * @param {Packet} raw
-   * @param {Packet} restored
-   * @param {Packet|null} shear null where it was not requested
+   * @param {Packet[]} images by kind
+   * @param {number[]} kinds that it has
    * @returns {Frame}
    */
-  push(raw, restored, shear) {
+  push(images, kinds) {
+    const raw = images[RAW];
+    const restored = images[RESTORED];
     const frame = this._frames[this._head];
     this._head = (this._head + 1) % this.capacity;
     this.length = Math.min(this.capacity, this.length + 1);
     frame.raw.set(raw.values);
     frame.restored.set(restored.values);
-    frame.sheared = shear !== null;
-    if (shear) frame.shear.set(shear.shear);
+    frame.sheared = kinds.includes(SHEAR);
+    if (frame.sheared) frame.shear.set(images[SHEAR].shear);
+    if (kinds.includes(TRACTION)) frame.traction.set(images[TRACTION].shear);
     const flags = raw.flags ?? NO_FLAGS;
     frame.saturated = false;
     for (let i = 0; i < frame.flags.length; i += 1) {

@@ -1,7 +1,7 @@
 /** A sensor's stream: never more frames under way than were requested. @module */
 
 import { ReconnectingSocket } from "./socket.js";
-import { kindOf, packet, parse } from "./wire.js";
+import { KIND_NAMES, kindOf, packet, parse } from "./wire.js";
 
 /** @import { Loss, PlayedRegion, State, Warning } from "./api.js" */
 /** @import { Packet } from "./wire.js" */
@@ -50,7 +50,7 @@ export class SensorStream extends ReconnectingSocket {
     this._requested = 0; // frames that have not come yet
     this._listener = listener;
     this._kinds = kinds;
-    this._images = [packet(), packet(), packet()];
+    this._images = KIND_NAMES.map(() => packet());
     this.open();
   }
 

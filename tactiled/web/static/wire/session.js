@@ -9,7 +9,7 @@ import { healthOf } from "../shell/health.js";
 import { SensorStream } from "./sensor_stream.js";
 import { Timeline } from "../shell/timeline.js";
 import { unitOf } from "../shell/units.js";
-import { RAW, RESTORED, SHEAR } from "./wire.js";
+import { PRESSURES, RESTORED } from "./wire.js";
 
 /** @import { Frame } from "./frame_history.js" */
 /** @import { Plane } from "../maps/geometry.js" */
@@ -27,8 +27,6 @@ import { RAW, RESTORED, SHEAR } from "./wire.js";
  * @property {() => void} onOtherShape the sensor has another shape than before, or was restarted
  */
 
-const PRESSURE_KINDS = [RAW, RESTORED];
-const ALL_KINDS = [RAW, RESTORED, SHEAR];
 const MAX_UNPAINTED = 2; // frames under way or not painted: with one, each would wait for a request to cross the network
 const MAX_STATUSES = 128; // more than ten seconds at ten a second
 const STATUS_WITHIN_S = 1; // of the frame that it is shown with
@@ -40,16 +38,16 @@ export class Session {
   /**
    * @param {string} name
    * @param {Plane} plane
-   * @param {boolean} hasShear whether the skin measures shear
+   * @param {number[]} kinds of image that the sensor has
    * @param {boolean} contacts whether they are requested, too
    * @param {boolean} shear whether it is requested, too, if the skin measures it
    * @param {Listener} listener
    */
-  constructor(name, plane, hasShear, contacts, shear, listener) {
+  constructor(name, plane, kinds, contacts, shear, listener) {
     this.name = name;
     this.plane = plane;
-    this.hasShear = hasShear;
-    this.history = new FrameHistory(plane, hasShear);
+    this.kinds = kinds;
+    this.history = new FrameHistory(plane, kinds);
     /** @type {Timeline<ContactsMessage>} */
     this.contacts = new Timeline(MAX_CONTACTS, CONTACTS_WITHIN_S);
     /** Of all contacts that came, those of a paused page too. */
@@ -71,8 +69,8 @@ export class Session {
     this._sequence = -1; // the newest that was reported
     this._restarted = false; // since the first frame: places and cover may be others
     this._listener = listener;
-    this._shear = hasShear && shear;
-    this.stream = new SensorStream(api.streamUrl(name, contacts, this._shear), this._shear ? ALL_KINDS : PRESSURE_KINDS, {
+    this._asked = shear ? kinds : PRESSURES;
+    this.stream = new SensorStream(api.streamUrl(name, contacts, this._asked), this._asked, {
       onImages: (images) => this._take(images),
       onStatus: (status) => this._takeStatus(status),
       onLink: () => this._linked(),
@@ -111,8 +109,8 @@ export class Session {
    * @param {boolean} shear whether it is, if the skin measures it
    */
   ask(contacts, shear) {
-    this._shear = this.hasShear && shear;
-    this.stream.move(api.streamUrl(this.name, contacts, this._shear), this._shear ? ALL_KINDS : PRESSURE_KINDS);
+    this._asked = shear ? this.kinds : PRESSURES;
+    this.stream.move(api.streamUrl(this.name, contacts, this._asked), this._asked);
   }
 
   /** @param {boolean} to */
@@ -159,13 +157,11 @@ export class Session {
 
   /** @param {Packet[]} images */
   _take(images) {
-    const raw = images[RAW];
     const restored = images[RESTORED];
-    const shear = this._shear ? images[SHEAR] : null;
     this._follow(restored.sequence);
     if (this.paused) return;
     const newest = this.history.at(0);
-    if (this._restarted || !this.history.fits(raw, restored, shear)) {
+    if (this._restarted || !this.history.fits(images, this._asked)) {
       this._listener.onOtherShape();
       return;
     }
@@ -180,7 +176,7 @@ export class Session {
     this._frameAt = performance.now();
     this._unpainted += 1;
     this.freshness.arrived(restored.sent, Date.now() / 1000);
-    const frame = this.history.push(raw, restored, shear);
+    const frame = this.history.push(images, this._asked);
     if (this.holdBack()) return;
     const resumed = this.freshness.heldBack > 0;
     this.freshness.release();

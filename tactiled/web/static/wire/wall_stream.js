@@ -1,10 +1,10 @@
 /**
- * Restored images of several sensors, and the shear of some, on one socket: one outstanding of each at a time.
+ * Restored images of several sensors, and the shear of some, restored or not, on one socket: one outstanding of each at a time.
  * @module
  */
 
 import { ReconnectingSocket } from "./socket.js";
-import { SHEAR, isOf, packet, parse } from "./wire.js";
+import { RESTORED, isOf, packet, parse } from "./wire.js";
 
 /** @import { Status } from "./sensor_stream.js" */
 /** @import { Packet } from "./wire.js" */
@@ -90,7 +90,7 @@ export class WallStream extends ReconnectingSocket {
       if (!isOf(image, part.bytes)) continue;
       this.attempts = 0;
       part.lastMessageAt = this.lastMessageAt;
-      if (image.kind !== SHEAR) part.requestedAt = 0;
+      if (image.kind === RESTORED) part.requestedAt = 0;
       part.listener.onImage(image);
       return;
     }

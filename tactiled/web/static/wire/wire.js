@@ -3,7 +3,15 @@
 export const RAW = 0;
 export const RESTORED = 1;
 export const SHEAR = 2;
+export const TRACTION = 3;
+export const KIND_NAMES = ["raw", "restored", "shear", "traction"];
 export const HEADER_BYTES = 64;
+
+/** The kinds of pressure, which every sensor has. @type {number[]} */
+export const PRESSURES = [RAW, RESTORED];
+
+/** @param {{shear: boolean, traction: boolean}} sensor @returns {number[]} the kinds of image that it has */
+export const kindsOf = ({ shear, traction }) => [...PRESSURES, ...(shear ? [SHEAR] : []), ...(traction ? [TRACTION] : [])];
 
 /** Flags of a raw taxel. */
 export const MISSING = 1;
@@ -26,7 +34,7 @@ const NO_BYTES = new Uint8Array(0);
  * One decoded message. The arrays are views of the packet's own bytes, which the next message replaces: a view of each
  * message would be garbage.
  * @typedef {object} Packet
- * @property {number} kind RAW, RESTORED or SHEAR
+ * @property {number} kind RAW, RESTORED, SHEAR or TRACTION
  * @property {number} rows 1 for a layout that is no grid
  * @property {number} columns
  * @property {number} sequence
@@ -39,8 +47,8 @@ const NO_BYTES = new Uint8Array(0);
  * @property {number} microseconds
  * @property {number} iterations
  * @property {number} method index in METHODS
- * @property {Float32Array} values pressures in `unit`, rows * columns; NaN without data; of SHEAR empty
- * @property {Float32Array} shear of SHEAR counts along x, rows * columns, and then along y; else empty
+ * @property {Float32Array} values pressures in `unit`, rows * columns; NaN without data; of SHEAR and TRACTION empty
+ * @property {Float32Array} shear of SHEAR counts, of TRACTION kPa along x, rows * columns, and then along y; else empty
  * @property {Uint8Array|null} flags one per taxel in a raw image, else null
  * @property {Uint8Array} bytes the whole message
  * @property {DataView} view of it
@@ -57,14 +65,17 @@ export function packet() {
   };
 }
 
-/** @param {Uint8Array} bytes a message @returns {number} RAW, RESTORED, SHEAR or an unknown kind */
+/** @param {Uint8Array} bytes a message @returns {number} RAW, RESTORED, SHEAR, TRACTION or an unknown kind */
 export const kindOf = (bytes) => bytes[5];
+
+/** @param {number} kind @returns {number} values of a cell */
+const axesOf = (kind) => (kind >= SHEAR ? 2 : 1);
 
 /** @param {Uint8Array} bytes that begin with a message @returns {number} bytes of the message */
 export function messageBytes(bytes) {
   if (bytes.length < HEADER_BYTES) throw new RangeError(`image of ${bytes.length} bytes has no header`);
   const view = new DataView(bytes.buffer, bytes.byteOffset);
-  const values = view.getUint16(6, true) * view.getUint16(8, true) * (kindOf(bytes) === SHEAR ? 2 : 1);
+  const values = view.getUint16(6, true) * view.getUint16(8, true) * axesOf(kindOf(bytes));
   return HEADER_BYTES + 4 * values + view.getUint16(10, true) + view.getUint16(12, true);
 }
 
@@ -101,13 +112,13 @@ export function parse(bytes, into) {
   into.microseconds = view.getFloat32(52, true);
   into.iterations = view.getUint32(56, true);
   into.method = view.getUint32(60, true);
-  const count = into.rows * into.columns * (into.kind === SHEAR ? 2 : 1);
+  const count = into.rows * into.columns * axesOf(into.kind);
   into.nameAt = HEADER_BYTES + 4 * count + flagsBytes;
   into.nameBytes = view.getUint16(12, true);
   if (bytes.length < into.nameAt + into.nameBytes) {
     throw new RangeError(`image of ${into.rows} x ${into.columns} ends after ${bytes.length} bytes`);
   }
-  const values = into.kind === SHEAR ? into.shear : into.values;
+  const values = into.kind >= SHEAR ? into.shear : into.values;
   const flagged = into.flags ? into.flags.length : 0;
   if (resized || values.length !== count || flagged !== flagsBytes) makeViews(into, count, flagsBytes);
   return into;
@@ -122,8 +133,8 @@ export function parse(bytes, into) {
 function makeViews(into, count, flagged) {
   const { buffer } = into.bytes;
   const values = new Float32Array(buffer, HEADER_BYTES, count);
-  into.values = into.kind === SHEAR ? NONE : values;
-  into.shear = into.kind === SHEAR ? values : NONE;
+  into.values = into.kind >= SHEAR ? NONE : values;
+  into.shear = into.kind >= SHEAR ? values : NONE;
   into.flags = flagged ? new Uint8Array(buffer, HEADER_BYTES + 4 * count, flagged) : null;
 }
 
