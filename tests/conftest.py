@@ -19,9 +19,11 @@ import pytest
 from tactiled import processes
 from tactiled.bus.reader import open_bus
 from tactiled.config import Server, parse
+from tactiled.interop.xela import XelaClients
 from tactiled.live.service import Service
 from tactiled.logs import HANDLER
-from tactiled.web.server import running
+from tactiled.web import server
+from tactiled.web.bridge import Host
 from tests.process import free_port
 
 # A shell that runs the tests in the background has them, and all that they start, ignore it.
@@ -36,6 +38,8 @@ hypothesis.settings.register_profile(
 hypothesis.settings.load_profile("busy")
 HTTP = {"timeout": BUSY_S, "verify": ssl.SSLContext(ssl.PROTOCOL_TLS_CLIENT)}  # httpx's own takes 0.1 s each
 ask = partial(httpx.request, **HTTP)
+BRIDGES = (XelaClients(),)
+running = partial(server.running, bridges=BRIDGES)
 
 SIDE = 8
 READ, CONTROL = "r" * 16, "c" * 16
@@ -74,6 +78,10 @@ class Rig:
         self.bus = open_bus(interface="virtual", channel=channel)
         self.sensor = self.service.sensor(next(iter(self.config.sensor)))
         self.sequence = -1
+
+    @property
+    def host(self):
+        return Host(self.service, self.config.server, [])
 
     def send(self, counts, drop=()):
         """Send one frame, some of its messages left out."""

@@ -7,8 +7,8 @@ import h5py
 import numpy as np
 import pytest
 
-from tactiled.interop import foxglove
 from tactiled.live.noise import NOISE_FRAMES
+from tactiled.messages import foxglove
 from tactiled.web.rest.drawing import draw
 from tactiled.web.rest.picture import picture
 from tactiled.web.server import running

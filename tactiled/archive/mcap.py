@@ -11,7 +11,7 @@ from tactiled import __version__
 from tactiled.build import SensorPlan
 from tactiled.contacts.regions import Measures
 from tactiled.frames import Image, Message
-from tactiled.interop import foxglove
+from tactiled.messages import foxglove
 from tactiled.units import nanoseconds
 
 

@@ -14,8 +14,8 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from tactiled.build import SensorPlan
 from tactiled.contacts.regions import Measures
 from tactiled.frames import Image, Message
-from tactiled.interop import ros
 from tactiled.live.contact_tracking import ImageContacts
+from tactiled.messages import ros
 from tactiled.units import nanoseconds
 
 VERSION: Literal[8] = 8  # of metadata.yaml: Iron's, which later ones read, and Humble as far as it knows its keys

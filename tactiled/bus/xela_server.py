@@ -1,6 +1,6 @@
 """XELA's own server as a bus: its JSON on a WebSocket, as the CAN messages of the codec `xela`.
 
-Sources of the format: those of web/ws/xela.py. Module N of the server is microcontroller N. Its taxels are those
+Sources of the format: those of interop/xela.py. Module N of the server is microcontroller N. Its taxels are those
 of the squarest grid, such as 4 x 6 of 24 and 4 x 4 of 16; SDAs fall from the top row down, taxel numbers from left
 to right, as on a module with its connector on the left.
 """

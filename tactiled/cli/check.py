@@ -14,9 +14,9 @@ from tactiled.cli import options
 from tactiled.cli.sniff import listen, survey_lines
 from tactiled.config import Config, load, tls
 from tactiled.cover.summary import CoverSummary, summarise
-from tactiled.interop.foxglove import need
 from tactiled.live.service import Service
 from tactiled.live.state import StateFile
+from tactiled.messages.foxglove import need
 from tactiled.plausibility.settings import Finding, config_findings, unedited
 from tactiled.plausibility.traffic import bus_report
 

@@ -27,9 +27,11 @@ from tactiled.config.example import EXAMPLE, GRASP, SHEAR
 from tactiled.config.schema import LOOPBACK
 from tactiled.errors import ConfigError
 from tactiled.frames import Message
+from tactiled.interop.bridges import configured
 from tactiled.live.events import Event as Happening
 from tactiled.live.service import Service
 from tactiled.simulate import Player, play
+from tactiled.web.app import create
 from tactiled.web.server import serve
 
 NOISE_KPA = 0.2  # of a simulated taxel
@@ -69,7 +71,8 @@ def demo(
         service = Service(config, report=logs.progress)
         source = _source(record, service, scene, rate_hz, Path(folder))
         with stoppable(), running(service, config, source):
-            serve(service, _server(host, port, foxglove, folder))
+            server = _server(host, port, foxglove, folder)
+            serve(create(service, server, configured(server)), server)
 
 
 def _source(record: str | None, service: Service, scene: str | None, rate_hz: float, folder: Path) -> Source:

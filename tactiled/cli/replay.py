@@ -14,9 +14,11 @@ from tactiled.cli import options
 from tactiled.cli.app import stoppable
 from tactiled.config import Config, Server, load, validated
 from tactiled.errors import ConfigError
+from tactiled.interop.bridges import configured
 from tactiled.live.sensor import REPLAYED, Sensor
 from tactiled.live.service import Service
 from tactiled.recorded.noise import measure_noise
+from tactiled.web.app import create
 from tactiled.web.server import serve
 
 
@@ -38,7 +40,7 @@ def replay(
     with threadpool_limits(1):
         service = replaying(settings, file, speed)
         with stoppable(), service.running():
-            serve(service, server)
+            serve(create(service, server, configured(server)), server)
 
 
 def replaying(settings: Config, file: Path, speed: float) -> Service:

@@ -16,10 +16,12 @@ from tactiled.cli.app import handled, stoppable
 from tactiled.cli.check import findings_of, prepared
 from tactiled.config import Server, validated
 from tactiled.errors import ConfigError
-from tactiled.interop.rerun_live import to_viewer
+from tactiled.interop.bridges import configured
+from tactiled.interop.zenoh.reader import publish
 from tactiled.live.service import Service
 from tactiled.threads import limit_heaps
-from tactiled.web.server import publish, serve
+from tactiled.web.app import create
+from tactiled.web.server import serve
 
 
 def run(
@@ -46,11 +48,12 @@ def run(
             raise ConfigError(f"{config}: zenoh.robot: missing: --publish needs the table [zenoh] with robot")
         if zenoh and not publishes:
             logs.announce("[zenoh] has no effect without --publish", logging.WARNING)
-        with _reloadable(service), service.running(), to_viewer(service, rerun):
+        bridges = configured(server, rerun)
+        with _reloadable(service), service.running():
             if publishes and zenoh:
-                publish(service, server, zenoh)
+                publish(service, server, zenoh, bridges)
             else:
-                serve(service, server)
+                serve(create(service, server, bridges), server)
 
 
 def _reloadable(service: Service) -> AbstractContextManager[None]:

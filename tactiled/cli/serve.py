@@ -13,9 +13,10 @@ from tactiled.cli import options
 from tactiled.cli.app import stoppable
 from tactiled.config import load_served
 from tactiled.errors import ConfigError
-from tactiled.interop import zenoh_session
-from tactiled.interop.signatures import robot_key
-from tactiled.interop.zenoh_fleet import Fleet
+from tactiled.interop.zenoh import session as zenoh_session
+from tactiled.interop.zenoh.app import create
+from tactiled.interop.zenoh.fleet import Fleet
+from tactiled.interop.zenoh.signatures import robot_key
 from tactiled.threads import limit_heaps
 from tactiled.web import server
 
@@ -39,8 +40,8 @@ def serve(
             raise ConfigError(f"--key {key}: no name of a robot: give zenoh.robot of its readers")
         print(f'control_key = "{robot_key(fleet_key.get_secret_value(), key)}"')
         return
-    for key in ("foxglove", "xela", "recordings"):
-        if getattr(settings.server, key) is not None:
+    for key in ("foxglove", "xela", "bridges", "recordings"):
+        if getattr(settings.server, key) not in (None, ()):
             raise ConfigError(f"{config}: server.{key}: belongs to the reader, `tactiled run`: leave it out here")
     zenoh_session.need(f"{config}: zenoh")
     if fleet_key is None:
@@ -48,4 +49,4 @@ def serve(
     with threadpool_limits(1):
         fleet = Fleet(settings.zenoh, settings.server)
         with stoppable(), fleet.running():
-            server.serve(fleet, settings.server)
+            server.serve(create(fleet, settings.server), settings.server, "sensors of all robots")

@@ -76,6 +76,8 @@ class Server(Section):
     """Port for clients of XELA's server, without a token; 0: any free one; left out: not served."""
     xela_host: str = "127.0.0.1"
     """Address of that port."""
+    bridges: tuple[str, ...] = ()
+    """Names of [bridges](interop.md#a-bridge-of-your-own) of other packages that run, too."""
     recordings: Path | None = None
     """Folder that clients may record the buses into; left out: they may not record."""
     recordings_leave_mb: Annotated[float, Bounds(0, 1e9, "MB")] = 1000.0

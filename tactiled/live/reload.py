@@ -67,8 +67,9 @@ def compare(running: Mapping[str, SensorPlan], before: Config, after: Config) ->
     A sensor also restarts if its bus does, or if a file that its table names has changed.
     """
     _check_server(before.server, after.server)
-    if before.zenoh != after.zenoh:
-        raise ConfigError("zenoh: cannot change while the service runs: restart it")
+    for table in Config.model_fields.keys() - {"server", "bus", "sensor"}:
+        if getattr(before, table) != getattr(after, table):
+            raise ConfigError(f"{table}: cannot change while the service runs: restart it")
     buses = Names.compare(before.bus, after.bus, lambda name: before.bus[name] == after.bus[name])
 
     def same(name: str) -> bool:

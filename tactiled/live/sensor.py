@@ -17,6 +17,7 @@ from tactiled.calibrate.counts.tare import Zero
 from tactiled.contacts.detection import Contact
 from tactiled.errors import LoadedError, NoShearError, NotLiveError, TareStateError
 from tactiled.frames import FrameWarning, Image, Loss, RawFrame
+from tactiled.geometry import tiling
 from tactiled.live.contact_tracking import ContactTracking
 from tactiled.live.history import History
 from tactiled.live.hub import Hub, Publisher
@@ -127,6 +128,11 @@ class Sensor:
         if self.newest is None or self.newest.references is None:
             return None
         return [None if np.isnan(each) else float(each) for each in self.newest.references]
+
+    @property
+    def areas_mm2(self) -> tuple[float, ...] | None:
+        """Areas of the taxels, None: of a grid."""
+        return None if self.array.shape else tuple(tiling(self.array).areas.tolist())
 
     def deviation(self, image: Image) -> Floats32:
         """Standard deviation of every cell of the newest restored image, in its unit."""

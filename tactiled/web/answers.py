@@ -15,23 +15,16 @@ from tactiled.calibrate.upkeep.health import RULES, Fault
 from tactiled.contacts.detection import Contact
 from tactiled.cover.summary import summarise
 from tactiled.frames import Image
-from tactiled.geometry import tiling
-from tactiled.interop.zenoh_sensor import RemoteSensor
 from tactiled.live.sensor import Sensor, Status
 from tactiled.restore.methods import METHODS, OLD_NAMES
 from tactiled.units import FORCE_UNITS, Unit, if_calibrated
 from tactiled.web import calibration_schemas, schemas
 from tactiled.web.schemas import PressureKind
+from tactiled.web.views import SensorView, ServiceView
 from tactiled.wire import values_of
 
-if TYPE_CHECKING:
-    from tactiled.interop.zenoh_fleet import Fleet
+if TYPE_CHECKING:  # a server of readers elsewhere imports no python-can
     from tactiled.live.service import Service
-
-    ServiceView = Service | Fleet
-else:
-    ServiceView = Any  # a server of readers elsewhere imports no python-can
-SensorView = Sensor | RemoteSensor  # whose bus is here, or elsewhere
 
 DECIMALS = 4  # of a pressure in JSON: 0.1 Pa
 
@@ -205,10 +198,7 @@ def geometry(sensor: SensorView) -> schemas.Geometry:
     """Where a sensor's taxels and surface cells are."""
     array, cells = sensor.array, sensor.cells
     rows, columns = array.shape or (1, array.size)
-    if isinstance(sensor, RemoteSensor):
-        areas = sensor.geometry.areas_mm2
-    else:
-        areas = None if array.shape else tuple(tiling(array).areas.tolist())
+    areas = sensor.areas_mm2
     return schemas.Geometry(
         shape=list(array.shape) if array.shape else None,
         positions_mm=array.positions.tolist(),

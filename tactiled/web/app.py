@@ -1,9 +1,9 @@
 """The ASGI application: REST, streams and the viewer's files."""
 
-from collections.abc import AsyncIterator, Callable
+from collections.abc import AsyncIterator, Callable, Sequence
 from contextlib import asynccontextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, cast, get_args
+from typing import TYPE_CHECKING, get_args
 
 from fastapi import Depends, FastAPI, Request
 from fastapi.responses import FileResponse
@@ -14,10 +14,8 @@ from starlette.middleware.gzip import DEFAULT_EXCLUDED_CONTENT_TYPES, GZipMiddle
 from tactiled import __version__
 from tactiled.config import Server
 from tactiled.guided.calibrations import GuidedCalibrations
-from tactiled.interop.zenoh_fleet import Fleet
 from tactiled.processes import SideProcess
-from tactiled.web import forward
-from tactiled.web.answers import ServiceView
+from tactiled.web.bridge import Bridge
 from tactiled.web.http.auth import AccessControl, Tokens
 from tactiled.web.http.head import Head
 from tactiled.web.http.limits import ConcurrencyLimit, RateLimit, Turns
@@ -29,14 +27,16 @@ from tactiled.web.rest import (
     events,
     frames,
     metrics,
+    openapi,
     regions,
     restore,
     sensors,
     trace,
 )
 from tactiled.web.rest.dependencies import Costly, check_body, check_parameters
-from tactiled.web.rest.openapi import EVERY_RESOURCE, complete, problems
-from tactiled.web.ws import asyncapi, push, stream, xela
+from tactiled.web.rest.openapi import EVERY_RESOURCE, problems
+from tactiled.web.views import ServiceView
+from tactiled.web.ws import asyncapi, push, stream
 from tactiled.web.ws.feed import Feeds, ticking
 
 if TYPE_CHECKING:
@@ -53,9 +53,13 @@ Live images: `WS /api/v1/sensors/{name}/stream` and `WS /api/v1/stream`, describ
 [asyncapi.json](asyncapi.json)."""
 
 
-def create(service: "Service", server: Server) -> FastAPI:
-    """Make the application of a service."""
-    app, feeds = _application(service, server)
+def create(service: "Service", server: Server, bridges: Sequence[Bridge] = ()) -> FastAPI:
+    """Make the application of a service, with what its bridges serve there."""
+    app, feeds = begin(service, server)
+    app.state.bridges = bridges
+    app.state.calibrations = GuidedCalibrations(service)
+    app.state.closing.append(app.state.calibrations.close)
+    app.state.transfers = restore.Transfers()
     for resource in (config, restore):
         app.include_router(resource.router, responses=problems(*EVERY_RESOURCE))
     if server.recordings is not None:
@@ -67,21 +71,14 @@ def create(service: "Service", server: Server) -> FastAPI:
         app.state.closing += [folder.close, playbacks.close]
         app.include_router(playback.make(folder, playbacks))
         app.include_router(recordings.make(folder))
-    app.include_router(xela.make(feeds))
+    for router in [each.routes(feeds) for each in bridges]:
+        if router is not None:
+            app.include_router(router)
     app.include_router(push.make(service, server))
-    return _complete(app, server)
+    return complete(app, server)
 
 
-def create_for_fleet(fleet: Fleet, server: Server) -> FastAPI:
-    """Make the application of the sensors of other processes, by names `robot/sensor`."""
-    app, _ = _application(fleet, server)
-    app.include_router(forward.config_of(fleet))
-    resources = [route for each in RESOURCES for route in each.router.routes]
-    app.add_middleware(forward.Forward, fleet=fleet, resources=resources)
-    return _complete(app, server)
-
-
-def _application(service: ServiceView, server: Server) -> tuple[FastAPI, Feeds]:
+def begin(service: ServiceView, server: Server) -> tuple[FastAPI, Feeds]:
     """An application with the resources of sensors, and the feeds of its streams."""
     feeds = Feeds(service)
     app = FastAPI(
@@ -114,7 +111,7 @@ async def _lifespan(app: FastAPI, feeds: Feeds) -> AsyncIterator[None]:
         await run_in_threadpool(close)
 
 
-def _complete(app: FastAPI, server: Server) -> FastAPI:
+def complete(app: FastAPI, server: Server) -> FastAPI:
     """Add what comes behind all resources: pages, and what sees a request before them."""
     app.include_router(stream.no_stream())  # behind all other streams
     _add_pages(app)
@@ -125,16 +122,14 @@ def _complete(app: FastAPI, server: Server) -> FastAPI:
     app.add_middleware(Head)
     limits = {"rates": RateLimit(server.control_per_minute), "streams": app.state.streams}
     app.add_middleware(AccessControl, server=server, **limits)  # the first to see a request
-    app.openapi = complete(app, Tokens(server).required)  # type: ignore[method-assign]
+    app.openapi = openapi.complete(app, Tokens(server).required)  # type: ignore[method-assign]
     return app
 
 
 def _set_state(app: FastAPI, service: ServiceView, server: Server) -> None:
     """What routes find in `request.app.state`."""
     app.state.service, app.state.server = service, server
-    app.state.calibrations = GuidedCalibrations(cast("Service", service))  # a fleet's are its readers'
-    app.state.closing = [app.state.calibrations.close]  # what is called at the end
-    app.state.transfers = restore.Transfers()
+    app.state.bridges, app.state.closing = (), []  # the latter are called at the end
     app.state.streams = ConcurrencyLimit(server.streams_per_client, server.streams)
     app.state.waiting = ConcurrencyLimit(events.MAX_WAITING_PER_CLIENT, events.MAX_WAITING, "events_waiting")
     app.state.drawing = SideProcess()  # matplotlib would hold up every frame

@@ -7,8 +7,8 @@ import socket
 import sys
 import threading
 import time
-from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 from functools import partial
 from typing import TYPE_CHECKING, Any, cast
 
@@ -16,19 +16,15 @@ import uvicorn
 from fastapi import FastAPI
 
 from tactiled import logs, systemd
-from tactiled.config import Server, Zenoh, tls
+from tactiled.config import Server, tls
 from tactiled.errors import TactileError
-from tactiled.interop import foxglove
-from tactiled.interop.foxglove_live import bridge
-from tactiled.interop.zenoh_fleet import Fleet
-from tactiled.interop.zenoh_session import need
-from tactiled.web.answers import ServiceView
-from tactiled.web.app import create, create_for_fleet
-from tactiled.web.forward import Requests, publisher
+from tactiled.web.app import create
+from tactiled.web.bridge import Bridge, Host
 from tactiled.web.http import timeouts
 from tactiled.web.http.connection import Connection
 from tactiled.web.http.connection_limit import Places, limit
-from tactiled.web.ws import session, xela
+from tactiled.web.views import ServiceView
+from tactiled.web.ws import session
 from tactiled.web.ws.pacing import PacedWebSocket
 
 if TYPE_CHECKING:  # which import python-can: `tactiled serve` needs none
@@ -115,12 +111,12 @@ class _Server(uvicorn.Server):
         await super().shutdown(sockets)
 
 
-def _server(app: FastAPI, config: Server, watchdog: "Watchdog | None" = None) -> _Server:
+def _server(app: FastAPI, config: Server, supervisor: "Watchdog | None" = None) -> _Server:
     """A server whose event loop looks at the watchdog once a second."""
 
     async def look() -> None:
-        if watchdog:
-            watchdog.look()
+        if supervisor:
+            supervisor.look()
 
     sys.setswitchinterval(SWITCH_INTERVAL_S)
     app.state.places = Places(limit(config.streams))
@@ -144,7 +140,7 @@ def _server(app: FastAPI, config: Server, watchdog: "Watchdog | None" = None) ->
             access_log=False,
             timeout_graceful_shutdown=cast(int, timeouts.SHUTDOWN_S),
             server_header=False,
-            callback_notify=look if watchdog else None,
+            callback_notify=look if supervisor else None,
             timeout_notify=EVERY_TICK,
         )
     )
@@ -160,11 +156,7 @@ def _url(listener: socket.socket, config: Server) -> str:
     return f"{'https' if config.tls_certificate else 'http'}://{f'[{host}]' if ':' in host else host}:{port}"
 
 
-def _application(service: ServiceView, config: Server) -> FastAPI:
-    return create_for_fleet(service, config) if isinstance(service, Fleet) else create(service, config)
-
-
-def _watchdog(service: ServiceView, url: str) -> "Watchdog | None":
+def watchdog(service: ServiceView, url: str) -> "Watchdog | None":
     """What keeps systemd's watchdog quiet, where that started this process."""
     if not systemd.supervises():
         return None
@@ -173,74 +165,45 @@ def _watchdog(service: ServiceView, url: str) -> "Watchdog | None":
     return Watchdog(service, url)
 
 
-def serve(service: ServiceView, config: Server) -> None:
-    """Serve until KeyboardInterrupt, which uvicorn raises again; TactileError where the address cannot be had."""
+def serve(app: FastAPI, config: Server, names: str | None = None) -> None:
+    """Serve until KeyboardInterrupt, which uvicorn raises again; TactileError where the address cannot be had.
+
+    The application's bridges run meanwhile. `names` is what is served, in words; by default the sensors.
+    """
+    service = app.state.service
     listener = _socket_of_unit(config) or _listen(config)
     try:
-        if config.foxglove is not None:
-            foxglove.need("server.foxglove")
-        server = _server(_application(service, config), config, _watchdog(service, _url(listener, config)))
-        with (
-            bridge(cast("Service", service), config.foxglove) as port,
-            xela_clients(service, config, server.beside) as address,
-        ):
-            also = "" if port is None else f", for Foxglove at ws://127.0.0.1:{port}"
-            also += "" if address is None else f", for XELA's clients at {address}"
-            names = "sensors of all robots" if isinstance(service, Fleet) else ", ".join(service.sensors)
-            logs.announce(f"{names} served at {_url(listener, config)}/{also} (stop: Ctrl-C)")
+        url = _url(listener, config)
+        server = _server(app, config, watchdog(service, url))
+        with bridged(app.state.bridges, Host(service, config, server.beside)) as places:
+            also = "".join(f", for {each}" for each in places)
+            logs.announce(f"{names or ', '.join(service.sensors)} served at {url}/{also} (stop: Ctrl-C)")
             server.run(sockets=[listener])
     finally:
         listener.close()
 
 
-def publish(service: "Service", config: Server, settings: Zenoh) -> None:
-    """Publish on a Zenoh network until KeyboardInterrupt; no HTTP, but what a reader has for Foxglove and XELA."""
-    need("zenoh", ros=settings.ros_domain is not None)
-    where = f"{settings.prefix}/{settings.robot}"
-    watchdog = _watchdog(service, where)
-    with bridge(service, config.foxglove), xela_clients(service, config), publishing(service, config, settings):
-        rights = "" if settings.control_key else ", read-only without zenoh.control_key"
-        logs.announce(f"{', '.join(service.sensors)} published as {where}{rights} (stop: Ctrl-C)")
-        while True:
-            if watchdog:
-                watchdog.look()
-            time.sleep(1.0)
-
-
 @contextmanager
-def publishing(service: "Service", config: Server, settings: Zenoh) -> Iterator[None]:
-    """Publish on a Zenoh network meanwhile, and answer the requests that come over it."""
-    sys.setswitchinterval(SWITCH_INTERVAL_S)
-    requests = Requests(create(service, config.model_copy(update={"recordings": None})), config, settings)
-    with requests.running(), publisher(service, settings, requests).running():
-        yield
+def bridged(bridges: Sequence[Bridge], host: Host) -> Iterator[list[str]]:
+    """Run bridges meanwhile; gives where they are, in words."""
+    with ExitStack() as stack:
+        places = [stack.enter_context(each.running(host)) for each in bridges]
+        yield [each for each in places if each]
 
 
-def running(service: ServiceView, config: Server | None = None) -> AbstractContextManager[str]:
-    """Serve on a thread meanwhile, by default on any free port of loopback; gives the server's URL."""
-    config = config or Server(port=0)
-    return _on_thread(_application(service, config), config)
+def running(
+    service: "Service", config: Server | None = None, bridges: Sequence[Bridge] = ()
+) -> AbstractContextManager[str]:
+    """Serve on a thread meanwhile, by default on any free port of loopback; gives the server's URL.
 
-
-@contextmanager
-def xela_clients(
-    service: ServiceView, config: Server, beside: list[uvicorn.Server] | None = None
-) -> Iterator[str | None]:
-    """Serve XELA's clients alone meanwhile, where a port is given: without a token or TLS; gives its address.
-
-    The server is added to those `beside` another, which ends them.
+    Of the bridges there is what they serve at that address.
     """
-    if config.xela is None:
-        yield None
-        return
-    secrets = dict.fromkeys(("read_token", "control_token", "tls_certificate", "tls_key"))
-    config = config.model_copy(update=secrets | {"host": config.xela_host, "port": config.xela})
-    with _on_thread(xela.alone(service, config), config, beside) as url:
-        yield url.replace("http", "ws", 1)
+    config = config or Server(port=0)
+    return on_thread(create(service, config, bridges), config)
 
 
 @contextmanager
-def _on_thread(app: FastAPI, config: Server, beside: list[uvicorn.Server] | None = None) -> Iterator[str]:
+def on_thread(app: FastAPI, config: Server, beside: list[uvicorn.Server] | None = None) -> Iterator[str]:
     """Serve an application on a thread meanwhile; gives its URL."""
     listener = _listen(config)
     server = _server(app, config)

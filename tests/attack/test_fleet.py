@@ -10,12 +10,13 @@ import numpy as np
 
 from tactiled.config import Server
 from tactiled.frames import Image
-from tactiled.interop.zenoh_intake import MAX_ROBOTS, STRANGERS
-from tactiled.interop.zenoh_messages import MAX_CELLS
-from tactiled.interop.zenoh_robots import EVENTS, EVENTS_HZ, MAX_NAMES, MAX_SESSIONS, QUIET_S
-from tactiled.interop.zenoh_session import Head
+from tactiled.interop.zenoh.app import create
+from tactiled.interop.zenoh.intake import MAX_ROBOTS, STRANGERS
+from tactiled.interop.zenoh.messages import MAX_CELLS
+from tactiled.interop.zenoh.robots import EVENTS, EVENTS_HZ, MAX_NAMES, MAX_SESSIONS, QUIET_S
+from tactiled.interop.zenoh.session import Head
 from tactiled.live.events import Event
-from tactiled.web.server import running
+from tactiled.web.server import on_thread
 from tactiled.wire import pack
 from tests.conftest import ask, until
 from tests.interop.zenoh_kit import fleet_at
@@ -226,7 +227,7 @@ def test_no_message_of_one_robot_disturbs_another():
     endpoint, kinds = f"tcp/127.0.0.1:{free_port()}", []
     with (
         fleet_at("", mode="peer", connect=[], listen=[endpoint]) as fleet,
-        running(fleet, Server(port=0)) as url,
+        on_thread(create(fleet, Server(port=0)), Server(port=0)) as url,
     ):
         began = time.monotonic()
         bystander, fuzzer = Bystander(fleet, url), Fuzzer(fleet, seed=1)

@@ -10,9 +10,9 @@ import typer
 
 from tactiled.config import Server, Zenoh, parse
 from tactiled.frames import Loss, RawFrame
-from tactiled.interop.zenoh_fleet import Fleet
-from tactiled.interop.zenoh_publisher import Publisher
-from tactiled.interop.zenoh_session import Answer
+from tactiled.interop.zenoh.fleet import Fleet
+from tactiled.interop.zenoh.publisher import Publisher
+from tactiled.interop.zenoh.session import Answer
 from tactiled.live.sensor import Sensor
 from tactiled.live.service import Service
 from tactiled.web import answers

@@ -1,4 +1,4 @@
-from tactiled.interop.signatures import robot_key
+from tactiled.interop.zenoh.signatures import robot_key
 from tests.cli.commands import refusal, succeed
 from tests.interop.zenoh_kit import KEY
 

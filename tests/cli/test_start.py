@@ -73,8 +73,8 @@ def test_a_service_with_a_cached_kernel_imports_no_solver_and_nothing_that_only_
     config = tmp_path / "palm.toml"
     config.write_text(EXAMPLE.replace('"socketcan"', '"virtual"'))
     program = (
-        "import gc, sys; from tactiled.cli import main, run; from tactiled.web.app import create;"
-        "run.serve = lambda service, at: create(service, at) and fit() and print(gc.isenabled(), *sys.modules);"
+        "import gc, sys; from tactiled.cli import main, run;"
+        "run.serve = lambda app, at: fit() and print(gc.isenabled(), *sys.modules);"
         "fit = lambda: __import__('tactiled.calibrate.counts.force_gain'); main()"
     )
     for _ in range(2):  # the first solves the cover

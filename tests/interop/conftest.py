@@ -3,9 +3,10 @@ from contextlib import ExitStack
 import pytest
 
 from tactiled.config import Server, Zenoh
-from tactiled.interop.signatures import robot_key
-from tactiled.interop.zenoh_session import open_session
-from tactiled.web.server import running
+from tactiled.interop.zenoh.app import create
+from tactiled.interop.zenoh.session import open_session
+from tactiled.interop.zenoh.signatures import robot_key
+from tactiled.web.server import on_thread
 from tests.conftest import until
 from tests.interop.zenoh_kit import KEY, NAME, fleet_at, published
 from tests.process import free_port
@@ -24,7 +25,7 @@ def served(rig):
             fleet = stack.enter_context(listening)
             stack.enter_context(published(rig, endpoint, reader_server, **settings))
             until(lambda: NAME in fleet.sensors)
-            return fleet, stack.enter_context(running(fleet, server)) + "/api/v1"
+            return fleet, stack.enter_context(on_thread(create(fleet, server), server)) + "/api/v1"
 
         yield start
 
@@ -44,6 +45,6 @@ def routed(rig):
             stack.enter_context(published(rig, endpoint, reader_server, control_key=key, mode="client"))
             until(lambda: NAME in fleet.sensors)
             session = stack.enter_context(open_session(Zenoh(mode="client", connect=[endpoint])))
-            return fleet, stack.enter_context(running(fleet, server)) + "/api/v1", session
+            return fleet, stack.enter_context(on_thread(create(fleet, server), server)) + "/api/v1", session
 
         yield start

@@ -17,8 +17,8 @@ from websockets.sync.client import connect
 
 from tactiled.cli import app as cli
 from tactiled.errors import ConfigError, TactileError
-from tactiled.interop import foxglove
-from tactiled.interop.foxglove_live import bridge
+from tactiled.interop.foxglove import Foxglove
+from tactiled.messages import foxglove
 from tests.conftest import BUSY_S, CONFIG, ask, pressed, until
 from tests.skin import X, Y, rigged
 
@@ -65,8 +65,8 @@ class App:
 def app(rig, topics=TOPICS, offered=TOPICS):
     """An app that has subscribed: the first state says so, unless an image came before."""
     with ExitStack() as stack:
-        port = stack.enter_context(bridge(rig.service, 0))
-        client = stack.enter_context(connect(f"ws://127.0.0.1:{port}", subprotocols=[PROTOCOL]))
+        address = stack.enter_context(Foxglove(0).running(rig.host)).removeprefix("Foxglove at ")
+        client = stack.enter_context(connect(address, subprotocols=[PROTOCOL]))
         yield App(client, topics, offered)
 
 
@@ -185,18 +185,18 @@ def test_a_port_in_use_and_a_missing_sdk_are_one_line_each(rig, monkeypatch):
     with socket.create_server(("127.0.0.1", 0)) as other:
         port = other.getsockname()[1]
         with pytest.raises(TactileError, match=f"server.foxglove = {port}: .*in use.*: choose another port"):
-            bridge(rig.service, port).__enter__()
+            Foxglove(port).running(rig.host).__enter__()
     monkeypatch.setattr(foxglove, "messages", None)
     with pytest.raises(
         ConfigError, match=re.escape("server.foxglove needs Foxglove's SDK: pip install 'tactiled[")
     ):
-        bridge(rig.service, 0).__enter__()
+        Foxglove(0).running(rig.host).__enter__()
 
 
 def test_without_the_extra_all_else_runs():
     program = (
         "import sys; sys.modules['foxglove'] = None; "
-        "import tactiled.cli, tactiled.interop.foxglove as f; f.need('It')"
+        "import tactiled.cli, tactiled.messages.foxglove as f; f.need('It')"
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     assert done.stderr.splitlines()[-1].endswith("It needs Foxglove's SDK: pip install 'tactiled[foxglove]'")

@@ -11,7 +11,7 @@ import rerun_cli
 from rerun.chunk import RrdReader
 
 from tactiled.errors import ConfigError
-from tactiled.interop.rerun_live import to_viewer
+from tactiled.interop.rerun import Rerun
 from tests.conftest import BUSY_S, pressed, until
 from tests.process import free_port
 
@@ -54,7 +54,7 @@ def test_a_viewer_gets_images_whenever_it_comes(rig, port, tmp_path):
         rig.show(pressed())
         return entities(file) >= {f"/palm/{name}" for name in ("raw", "restored", "force", "peak", "contacts")}
 
-    with to_viewer(rig.service, port):
+    with Rerun(port).running(rig.host):
         for name in ("first.rrd", "second.rrd"):  # the first is killed, and nobody is told
             with viewer(port, tmp_path / name):
                 until(lambda file=tmp_path / name: arrived(file))
@@ -63,15 +63,15 @@ def test_a_viewer_gets_images_whenever_it_comes(rig, port, tmp_path):
 
 def test_the_service_ends_though_a_viewer_hangs(rig, port, monkeypatch):
     called, ended = Event(), Event()
-    monkeypatch.setattr("tactiled.interop.rerun_live._show", lambda *_: called.set() or ended.wait())
-    with socket.create_server(("127.0.0.1", port)), to_viewer(rig.service, port):
+    monkeypatch.setattr("tactiled.interop.rerun._show", lambda *_: called.set() or ended.wait())
+    with socket.create_server(("127.0.0.1", port)), Rerun(port).running(rig.host):
         assert called.wait(BUSY_S)
     ended.set()
 
 
 WITH_HANGING_VIEWER = """
 import sys, threading, numpy, rerun
-from tactiled.interop.rerun_images import new_stream
+from tactiled.messages.rerun import new_stream
 stream = new_stream()
 stream.connect_grpc(sys.argv[1])
 stream.flush()
@@ -104,6 +104,6 @@ def test_a_process_ends_though_its_viewer_hangs(port, tmp_path):
 
 
 def test_a_missing_sdk_is_one_line(rig, monkeypatch):
-    monkeypatch.setattr("tactiled.interop.rerun_live.find_spec", lambda _: None)
+    monkeypatch.setattr("tactiled.interop.rerun.find_spec", lambda _: None)
     with pytest.raises(ConfigError, match=re.escape("--rerun needs Rerun's SDK: pip install 'tactiled[rerun]'")):
-        to_viewer(rig.service, 9876).__enter__()
+        Rerun(9876).running(rig.host).__enter__()

@@ -17,9 +17,9 @@ from tactiled.build import sensor_plan
 from tactiled.config import Server, Zenoh, parse
 from tactiled.contacts.detection import Contact
 from tactiled.contacts.regions import Region
-from tactiled.interop.ros import Topics
-from tactiled.interop.ros_types import Types
-from tactiled.interop.zenoh_session import open_session
+from tactiled.interop.zenoh.session import open_session
+from tactiled.messages.ros import Topics
+from tactiled.messages.ros_types import Types
 from tactiled.units import nanoseconds
 from tests.conftest import BUSY_S, CONFIG, pressed, until
 from tests.interop.zenoh_kit import TOKEN, published

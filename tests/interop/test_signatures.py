@@ -1,6 +1,6 @@
 import json
 
-from tactiled.interop.signatures import CHALLENGE_S, NO_CLAIM, NO_KEY, USED, WRONG_KEY, Gate, robot_key, sign
+from tactiled.interop.zenoh.signatures import CHALLENGE_S, NO_CLAIM, NO_KEY, USED, WRONG_KEY, Gate, robot_key, sign
 
 FLEET, PLACE, BODY = "0f" * 32, "tactiled/r1/palm/0011223344556677/rest/tare", b"{}"
 KEY = robot_key(FLEET, "r1")

@@ -9,10 +9,11 @@ from websockets.sync.client import connect
 
 from tactiled.config import Server, Zenoh, parse
 from tactiled.errors import ConfigError, TactileError
-from tactiled.interop.zenoh_session import open_session
+from tactiled.interop.zenoh.app import create as create_for_fleet
+from tactiled.interop.zenoh.reader import Requests
+from tactiled.interop.zenoh.session import open_session
 from tactiled.web.app import create
-from tactiled.web.forward import Requests
-from tactiled.web.server import running
+from tactiled.web.server import on_thread
 from tactiled.wire import unpack
 from tests.conftest import BUSY_S, CONFIG, ask, pressed, problem, until
 from tests.interop.zenoh_kit import NAME, detail, fleet_at, kinds, pass_on, published, state
@@ -112,7 +113,7 @@ def test_a_tare_through_the_server_is_done_and_reported_there(rig, routed):
 def test_a_request_for_a_stopped_reader_is_refused_with_its_reason(rig):
     endpoint = f"tcp/127.0.0.1:{free_port()}"
     listening = fleet_at("", mode="peer", connect=[], listen=[endpoint])
-    with listening as fleet, running(fleet, Server(port=0)) as url:
+    with listening as fleet, on_thread(create_for_fleet(fleet, Server(port=0)), Server(port=0)) as url:
         with published(rig, endpoint):
             until(lambda: NAME in fleet.sensors)
         until(lambda: state(fleet) == "down" and "was stopped" in fleet.sensors[NAME].status().detail)

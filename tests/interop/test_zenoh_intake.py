@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from tactiled.config import Server
-from tactiled.interop import zenoh_intake, zenoh_robots
-from tactiled.interop.zenoh_intake import Intake
-from tactiled.interop.zenoh_session import Head
+from tactiled.interop.zenoh import intake as zenoh_intake
+from tactiled.interop.zenoh import robots as zenoh_robots
+from tactiled.interop.zenoh.intake import Intake
+from tactiled.interop.zenoh.session import Head
 from tactiled.wire import pack
 from tests.attack.test_fleet import CELLS, DETAIL, GEOMETRY, SIDE, STATE, image
 from tests.conftest import until
@@ -184,7 +185,7 @@ def test_no_robot_has_more_than_its_part_of_the_memory_and_it_comes_back():
 
 
 def test_a_sensor_whose_reader_is_long_gone_is_forgotten_and_may_come_back(monkeypatch):
-    monkeypatch.setattr("tactiled.interop.zenoh_fleet.FORGET_S", 0.0)
+    monkeypatch.setattr("tactiled.interop.zenoh.fleet.FORGET_S", 0.0)
     with fleet_at("", mode="peer", connect=[], listen=[f"tcp/127.0.0.1:{free_port()}"]) as fleet:
         join(fleet, "r1/palm")
         fleet.take_token(f"r1/palm/alive/{SESSION}", False)

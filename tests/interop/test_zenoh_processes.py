@@ -11,7 +11,7 @@ from contextlib import suppress
 import pytest
 
 from tactiled.errors import ReaderError, UnknownSensorError
-from tactiled.interop.zenoh_session import Request, connected
+from tactiled.interop.zenoh.session import Request, connected
 from tests.conftest import BUSY_S, until
 from tests.interop.zenoh_kit import NAME, detail, fleet_at, kinds, state
 from tests.process import free_port

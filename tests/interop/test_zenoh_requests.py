@@ -8,13 +8,13 @@ from concurrent.futures import ThreadPoolExecutor
 import pytest
 
 from tactiled.config import Server, Zenoh
-from tactiled.interop.signatures import NO_CLAIM, USED, WRONG_KEY, robot_key, sign
-from tactiled.interop.zenoh_fleet import Fleet
-from tactiled.interop.zenoh_messages import MAX_ANSWER_BYTES
-from tactiled.interop.zenoh_questions import MAX_PENDING
-from tactiled.interop.zenoh_session import Answer, Request
+from tactiled.interop.zenoh.fleet import Fleet
+from tactiled.interop.zenoh.messages import MAX_ANSWER_BYTES
+from tactiled.interop.zenoh.questions import MAX_PENDING
+from tactiled.interop.zenoh.reader import Requests
+from tactiled.interop.zenoh.session import Answer, Request
+from tactiled.interop.zenoh.signatures import NO_CLAIM, USED, WRONG_KEY, robot_key, sign
 from tactiled.web.app import create
-from tactiled.web.forward import Requests
 from tests.conftest import BUSY_S, ask, problem, until
 from tests.interop.zenoh_kit import KEY, NAME, TOKEN, kinds
 

@@ -1,7 +1,7 @@
 import pytest
 
-from tactiled.interop.zenoh_sensor import ClockOffset, Line, Parts
-from tactiled.interop.zenoh_session import LOST_AFTER_S, Head, unpack
+from tactiled.interop.zenoh.sensor import ClockOffset, Line, Parts
+from tactiled.interop.zenoh.session import LOST_AFTER_S, Head, unpack
 
 A, B = "aa" * 8, "bb" * 8
 

@@ -2,9 +2,9 @@ from contextlib import contextmanager, suppress
 from functools import partial
 
 from tactiled.config import Server, Zenoh
-from tactiled.interop.zenoh_fleet import Fleet
+from tactiled.interop.zenoh.fleet import Fleet
+from tactiled.interop.zenoh.reader import Requests, publisher
 from tactiled.web.app import create
-from tactiled.web.forward import Requests, publisher
 from tests.conftest import until
 
 NAME = "r1/palm"

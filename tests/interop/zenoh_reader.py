@@ -12,7 +12,7 @@ true_time = time.time
 time.time = lambda: true_time() + float(offset_s)
 
 from tactiled.cli.app import stoppable  # noqa: E402
-from tactiled.web.server import publish  # noqa: E402
+from tactiled.interop.zenoh.reader import publish  # noqa: E402
 from tests.conftest import Rig, pressed  # noqa: E402
 
 TABLE = '\n[zenoh]\nmode = "client"\nconnect = ["{}"]\nrobot = "{}"\n'

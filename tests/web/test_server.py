@@ -6,7 +6,9 @@ import pytest
 from tactiled import logs
 from tactiled.config import Server
 from tactiled.errors import TactileError
-from tactiled.web.server import running, serve, xela_clients
+from tactiled.web.app import create
+from tactiled.web.server import serve
+from tests.conftest import BRIDGES, running
 
 
 def test_an_address_that_cannot_be_bound_is_refused_in_one_line(rig):
@@ -19,7 +21,7 @@ def test_an_address_that_cannot_be_bound_is_refused_in_one_line(rig):
         port = other.getsockname()[1]
         assert error(port=port).startswith(f"address 127.0.0.1:{port}: in use: choose another port")
         with pytest.raises(TactileError, match=f"address 127.0.0.1:{port}: in use"):
-            xela_clients(rig.service, Server(xela=port)).__enter__()
+            serve(create(rig.service, config := Server(port=0, xela=port), BRIDGES), config)
     for host in ("nowhere.invalid", "203.0.113.7", "a" * 64):
         assert host in error(host=host)
         assert "\n" not in error(host=host)
@@ -32,4 +34,4 @@ def test_a_client_that_comes_as_soon_as_the_address_is_announced_is_not_refused(
 
     monkeypatch.setattr(logs, "announce", connect)
     with pytest.raises(KeyboardInterrupt):
-        serve(rig.service, Server(port=0))
+        serve(create(rig.service, Server(port=0)), Server(port=0))

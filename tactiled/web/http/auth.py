@@ -16,10 +16,9 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from tactiled.config import Server
 from tactiled.config.schema import LOOPBACK
-from tactiled.interop.signatures import SAFE_METHODS
 from tactiled.web.http import problems, sign_in
 from tactiled.web.http.body import Body, HeldBodies
-from tactiled.web.http.headers import HEADERS, STRICT_TRANSPORT_SECURITY
+from tactiled.web.http.headers import HEADERS, SAFE_METHODS, STRICT_TRANSPORT_SECURITY
 from tactiled.web.http.limits import ConcurrencyLimit, RateLimit
 from tactiled.web.http.problems import Problem
 from tactiled.web.http.protocols import ENDS

@@ -7,8 +7,8 @@ from starlette.requests import ClientDisconnect
 from starlette.types import Message, Receive, Scope
 
 from tactiled.calibrate.calibration_file import MAX_BYTES
-from tactiled.interop.signatures import SAFE_METHODS
 from tactiled.threads import give_back_heaps
+from tactiled.web.http.headers import SAFE_METHODS
 from tactiled.web.http.problems import SOON, Problem
 
 MAX_BODY_BYTES = 64 << 10  # no request but an upload needs as much

@@ -1,5 +1,6 @@
-"""Security headers of every response."""
+"""Security headers of every response, and the methods that change nothing."""
 
+SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})
 HEADERS = {
     "Content-Security-Policy": (
         "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; connect-src 'self'; "

@@ -11,15 +11,13 @@ from fastapi.dependencies.utils import get_flat_params
 from fastapi.routing import APIRoute
 from starlette.requests import HTTPConnection
 
-from tactiled.build import SensorPlan
 from tactiled.errors import PhysicsError, StateError
-from tactiled.interop.zenoh_sensor import RemotePlan
 from tactiled.live.sensor import Sensor
 from tactiled.units import PRESSURE
-from tactiled.web.answers import SensorView
 from tactiled.web.http.limits import Turns
 from tactiled.web.http.problems import SOON, Problem
 from tactiled.web.rest.openapi import MEDIA
+from tactiled.web.views import PlanView, SensorView
 from tactiled.web.ws.query import no_such, once
 
 if TYPE_CHECKING:
@@ -110,9 +108,7 @@ def _weighed(part: str) -> tuple[float, str]:
     return (float(weight) if weight.isascii() and weight.replace(".", "", 1).isdigit() else 0.0), media
 
 
-def in_unit(
-    plan: SensorPlan | RemotePlan, name: str, value: float | None, value_kpa: float | None
-) -> float | None:
+def in_unit(plan: PlanView, name: str, value: float | None, value_kpa: float | None) -> float | None:
     """A parameter in the unit of the sensor's pressure, sent as `name`, else in kPa as `name`_kpa.
 
     Problem 409 where kPa is sent of a sensor that is uncalibrated.

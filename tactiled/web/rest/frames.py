@@ -17,12 +17,12 @@ from tactiled.live.history import Page
 from tactiled.live.sensor import Status
 from tactiled.units import PRESSURE, SHEAR, Unit
 from tactiled.web import answers, schemas
-from tactiled.web.answers import SensorView
 from tactiled.web.rest import drawing
 from tactiled.web.rest.dependencies import AnySensor, format_of, in_turn, in_unit, no_frame
 from tactiled.web.rest.openapi import MEDIA, problems, success
 from tactiled.web.rest.picture import picture
 from tactiled.web.schemas import PressureKind
+from tactiled.web.views import SensorView
 from tactiled.wire import Kept, values_of
 
 NewestFormat = Literal["json", "npy", "png"]

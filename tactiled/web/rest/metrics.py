@@ -15,10 +15,10 @@ from prometheus_client.metrics_core import Metric
 from tactiled.bus.error_frames import KINDS
 from tactiled.live.sensor import Sensor, State
 from tactiled.live.timings import BOUNDS_S, Histogram
-from tactiled.web.answers import SensorView, ServiceView
 from tactiled.web.http.connection_limit import Places
 from tactiled.web.http.limits import ConcurrencyLimit
 from tactiled.web.rest.dependencies import CurrentService
+from tactiled.web.views import SensorView, ServiceView
 
 MEDIA_TYPE = "text/plain; version=0.0.4; charset=utf-8"
 GAUGES = (  # name, help text, field of a sensor's status

@@ -5,9 +5,9 @@ from numpy.typing import NDArray
 
 from tactiled.frames import Image
 from tactiled.web import answers
-from tactiled.web.answers import SensorView
 from tactiled.web.rest.drawing import Picture
 from tactiled.web.schemas import PressureKind
+from tactiled.web.views import SensorView
 
 MIN_TOP_SIGMAS = 15.0  # the scale reaches at least so far above the noise, as in the viewer
 MIN_TOP = 1e-6  # kPa, or counts

@@ -1,6 +1,7 @@
 """`/api/v1/asyncapi.json`: the WebSockets in AsyncAPI 3.0, from the models that their messages are made of."""
 
 from collections.abc import Iterable
+from copy import deepcopy
 from functools import cache
 from typing import Any
 
@@ -22,7 +23,6 @@ ABOUT = """Live images of covered tactile arrays, and how their sensors are doin
 
 Newest wins: nothing queues for a client that does not read. Where tokens are configured, a client shows one as
 `Authorization: Bearer TOKEN` or `?token=TOKEN`. REST is described in `openapi.json`."""
-XELA = "A welcome, then the newest frame of every live module with the codec xela, in the JSON of XELA's server"
 MESSAGES: dict[str, tuple[type[BaseModel], str]] = {
     "status": (schemas.StreamStatus, "A sensor's state, at least once a second and on every change"),
     "contacts": (schemas.Contacts, "With contacts=1: where something touches, at most twenty times a second"),
@@ -47,11 +47,20 @@ def parameters(form: type[StreamQuery]) -> Json:
     return described
 
 
+TOKEN = {"token": parameters(StreamQuery)["token"]}  # the only parameter of most other WebSockets
+
+
 @router.get("/api/v1/asyncapi.json", include_in_schema=False)  # a description is no resource
 def asyncapi(request: Request) -> JSONResponse:
     """The WebSockets of this service in AsyncAPI 3.0."""
     server = {"host": request.url.netloc, "protocol": "wss" if request.url.scheme == "https" else "ws"}
-    return JSONResponse(_anywhere() | {"servers": {"here": server}})
+    document = deepcopy(_anywhere())
+    for each in request.app.state.bridges:
+        described = each.described()
+        document["components"]["messages"] |= described.pop("messages", {})
+        for part, named in described.items():
+            document[part] |= named
+    return JSONResponse(document | {"servers": {"here": server}})
 
 
 @cache
@@ -62,14 +71,13 @@ def _anywhere() -> Json:
         [(model, "serialization") for model in models], ref_template="#/components/schemas/{model}"
     )
     name = {"description": "of the sensor, as in the configuration", "examples": ["palm"]}
-    one = _channel("/api/v1/sensors/{name}/stream", "Images of one sensor", parameters(StreamQuery))
+    one = channel("/api/v1/sensors/{name}/stream", "Images of one sensor", parameters(StreamQuery))
     about = "Images of several sensors; every message names its own"
-    several = _channel("/api/v1/stream", about, parameters(SensorsQuery))
-    operations = {"showXela": _operation("send", "xela", ["xela"])}
-    operations["takeFrames"] = _operation("receive", "push", ["pushed", "pushedBytes"])
-    for channel in ("sensor", "sensors"):
-        operations[f"show{channel.capitalize()}"] = _operation("send", channel, ["image", *MESSAGES])
-        operations[f"ask{channel.capitalize()}"] = _operation("receive", channel, ["next"])
+    several = channel("/api/v1/stream", about, parameters(SensorsQuery))
+    operations = {"takeFrames": operation("receive", "push", ["pushed", "pushedBytes"])}
+    for stream in ("sensor", "sensors"):
+        operations[f"show{stream.capitalize()}"] = operation("send", stream, ["image", *MESSAGES])
+        operations[f"ask{stream.capitalize()}"] = operation("receive", stream, ["next"])
     return {
         "asyncapi": "3.0.0",
         "info": {"title": "tactiled", "version": __version__, "description": ABOUT},
@@ -77,7 +85,6 @@ def _anywhere() -> Json:
         "channels": {
             "sensor": one | {"parameters": {"name": name}},
             "sensors": several,
-            "xela": _xela(),
             "push": _push() | {"parameters": {"name": name}},
         },
         "operations": operations,
@@ -85,23 +92,13 @@ def _anywhere() -> Json:
     }
 
 
-def _xela() -> Json:
-    """The WebSocket of XELA's clients, whose messages are ignored."""
-    about = "The JSON of XELA's own server, at / as well; messages of a client are ignored"
-    token = {"token": parameters(StreamQuery)["token"]}
-    channel = _channel("/xela", about, token, ("xela",))
-    codes = [each for each in channel["x-close-codes"] if each["code"] != session.BAD_REQUEST]
-    return channel | {"x-close-codes": codes}
-
-
 def _push() -> Json:
     """The WebSocket that takes frames."""
     about = "Frames of a sensor without `bus` and `codec`; needs the control token, and answers nothing"
-    query = {"token": parameters(StreamQuery)["token"]}
-    return _channel("/api/v1/sensors/{name}/push", about, query, ("pushed", "pushedBytes"))
+    return channel("/api/v1/sensors/{name}/push", about, TOKEN, ("pushed", "pushedBytes"))
 
 
-def _channel(
+def channel(
     address: str, about: str, query: Json, messages: tuple[str, ...] = ("image", *MESSAGES, "next")
 ) -> Json:
     """A WebSocket, its address's parameters and why it may close."""
@@ -115,7 +112,8 @@ def _channel(
     }
 
 
-def _operation(action: str, channel: str, messages: list[str]) -> Json:
+def operation(action: str, channel: str, messages: list[str]) -> Json:
+    """Messages that the service sends, or takes, on a channel."""
     return {
         "action": action,
         "channel": {"$ref": f"#/channels/{channel}"},
@@ -132,8 +130,7 @@ def _messages() -> Json:
         "image", "One image, little-endian; with together=1 all images of a frame, one behind the other", LAYOUT
     )
     pushed = _binary("pushedBytes", "One frame, little-endian", push.LAYOUT)
-    xelas = {"title": "xela", "summary": XELA, "payload": {"type": "object"}}
-    return {"image": image, "xela": xelas, "pushedBytes": pushed} | {
+    return {"image": image, "pushedBytes": pushed} | {
         name: {
             "title": name,
             "summary": about,

@@ -10,8 +10,8 @@ from typing import NamedTuple
 from tactiled.frames import Image
 from tactiled.threads import FRAME_LOCK
 from tactiled.web import answers, schemas
-from tactiled.web.answers import SensorView, ServiceView
 from tactiled.web.http.protocols import frame
+from tactiled.web.views import SensorView, ServiceView
 from tactiled.wire import Kind, pack
 
 TICK_S = 0.5  # how often streams check a sensor's state when no frame comes

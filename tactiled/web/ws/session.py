@@ -24,7 +24,7 @@ CLOSES = {
     TOO_BIG: f"a message has more than 64 KiB, or more than {MAX_FRAGMENTS} frames",
     FAILED: "the service failed, see its log; or the client answered no ping for "
     f"{PING_S:g} s (`keepalive ping timeout`)",
-    RESTART: f"{ENDS}; or, for XELA's clients, the configuration has other modules now",
+    RESTART: f"{ENDS}; or the configuration has changed in a way that needs a new connection",
     BAD_REQUEST: "a parameter or a message is wrong; the reason names it and its value",
     UNAUTHORIZED: "the token is missing or unknown",
     FORBIDDEN: "the page belongs to another site, or the host name is not one of loopback's",

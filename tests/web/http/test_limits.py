@@ -18,8 +18,7 @@ from tactiled.web.http import connection_limit, limits
 from tactiled.web.http.connection_limit import Place, Places
 from tactiled.web.http.limits import ConcurrencyLimit, RateLimit, Turns, client_of
 from tactiled.web.http.problems import Problem
-from tactiled.web.server import running
-from tests.conftest import BUSY_S, ask, pressed, problem, run_apart, until
+from tests.conftest import BUSY_S, ask, pressed, problem, run_apart, running, until
 from tests.web.http.raw import websocket_url
 from tests.web.ws.clients import closed
 

@@ -7,12 +7,11 @@ import pytest
 from starlette.datastructures import QueryParams
 
 from tactiled.web.http.protocols import ENDS
-from tactiled.web.server import running
 from tactiled.web.ws import session
 from tactiled.web.ws.asyncapi import MESSAGES, parameters
 from tactiled.web.ws.feed import Feed
 from tactiled.web.ws.query import SensorsQuery, StreamQuery, parse
-from tests.conftest import BUSY_S, ask, pressed
+from tests.conftest import BUSY_S, ask, pressed, running
 from tests.web.http.raw import UPGRADE, plug, read_all
 from tests.web.ws.clients import NEXT, ONE, SEVERAL, closed, stream, text
 

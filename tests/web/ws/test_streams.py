@@ -11,9 +11,8 @@ from websockets.sync.client import connect as connect_socket
 
 from tactiled.client import connect
 from tactiled.web import answers
-from tactiled.web.server import running
 from tactiled.web.ws.feed import Feed
-from tests.conftest import NO_LOAD, Rig, meanwhile, pressed, until
+from tests.conftest import NO_LOAD, Rig, meanwhile, pressed, running, until
 from tests.skin import TIP
 from tests.web.http.raw import websocket_url
 from tests.web.ws.clients import NEXT, SEVERAL, closed, images, stream, text, text_of, texts

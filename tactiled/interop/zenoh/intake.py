@@ -11,10 +11,10 @@ from concurrent.futures import ThreadPoolExecutor
 
 from tactiled.config import Server
 from tactiled.errors import TactileError, UnknownSensorError
-from tactiled.interop import zenoh_messages as messages
-from tactiled.interop.zenoh_robots import MAX_NAMES, MAX_SESSIONS, QUIET_S, Budget, Robot
-from tactiled.interop.zenoh_sensor import MAX_SKEW_S, Line, RemoteSensor
-from tactiled.interop.zenoh_session import Answer, Head, Request, unpack
+from tactiled.interop.zenoh import messages
+from tactiled.interop.zenoh.robots import MAX_NAMES, MAX_SESSIONS, QUIET_S, Budget, Robot
+from tactiled.interop.zenoh.sensor import MAX_SKEW_S, Line, RemoteSensor
+from tactiled.interop.zenoh.session import Answer, Head, Request, unpack
 from tactiled.live.events import Events, Faults, Kind
 from tactiled.live.watch import STATE_EVENTS
 

@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING
 
 from tactiled.config import Server, Zenoh
 from tactiled.errors import ReaderError
-from tactiled.interop.zenoh_intake import FORGET_S, LOOK_S, Intake
-from tactiled.interop.zenoh_messages import MAX_JSON_BYTES, MAX_LINE_BYTES, MAX_STATE_BYTES
-from tactiled.interop.zenoh_questions import Questions, Reply
-from tactiled.interop.zenoh_robots import MAX_ASKING, Robot
-from tactiled.interop.zenoh_sensor import Line
-from tactiled.interop.zenoh_session import (
+from tactiled.interop.zenoh.intake import FORGET_S, LOOK_S, Intake
+from tactiled.interop.zenoh.messages import MAX_JSON_BYTES, MAX_LINE_BYTES, MAX_STATE_BYTES
+from tactiled.interop.zenoh.questions import Questions, Reply
+from tactiled.interop.zenoh.robots import MAX_ASKING, Robot
+from tactiled.interop.zenoh.sensor import Line
+from tactiled.interop.zenoh.session import (
     HEARTBEAT_S,
     MAX_MESSAGE_BYTES,
     REQUEST_S,

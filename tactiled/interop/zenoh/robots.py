@@ -5,7 +5,7 @@ import threading
 import time
 from collections import deque
 
-from tactiled.interop.zenoh_sensor import Line
+from tactiled.interop.zenoh.sensor import Line
 
 MAX_NAMES, MAX_SESSIONS = 64, 4  # of a robot's sensors; of publishers of one name
 MESSAGES_HZ = 20_000.0  # of 64 sensors with three images each at 100 Hz

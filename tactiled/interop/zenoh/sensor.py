@@ -14,8 +14,8 @@ from tactiled.contacts.detection import Contact
 from tactiled.errors import NoShearError, ReaderAnswerError, ReaderError
 from tactiled.frames import Image, Loss
 from tactiled.geometry import Array, raster, spacing
-from tactiled.interop import zenoh_messages as messages
-from tactiled.interop.zenoh_session import HEARTBEAT_S, LOST_AFTER_S, Answer, Head, Request
+from tactiled.interop.zenoh import messages
+from tactiled.interop.zenoh.session import HEARTBEAT_S, LOST_AFTER_S, Answer, Head, Request
 from tactiled.live.contact_tracking import ContactTracking
 from tactiled.live.history import History
 from tactiled.live.hub import Hub
@@ -233,6 +233,11 @@ class RemoteSensor:
     def references(self) -> list[float | None] | None:
         """Counts of pads that feel no pressure."""
         return self.reported.references
+
+    @property
+    def areas_mm2(self) -> tuple[float, ...] | None:
+        """Areas of the taxels, without a grid."""
+        return self.geometry.areas_mm2
 
     def need_traction(self) -> None:
         """NoShearError: no reader sends what it restores of shear."""

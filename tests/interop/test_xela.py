@@ -5,7 +5,7 @@ import re
 import socket
 import threading
 import time
-from contextlib import ExitStack
+from contextlib import ExitStack, contextmanager
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -15,9 +15,12 @@ from websockets.sync.client import connect
 
 from tactiled.config import Server
 from tactiled.frames import Message
+from tactiled.interop.xela import XelaClients
 from tactiled.web import server
-from tactiled.web.server import running, serve, xela_clients
-from tests.conftest import BUSY_S, CONFIG, TOKENS, Rig, ask, meanwhile, problem, until
+from tactiled.web.app import create
+from tactiled.web.bridge import Host
+from tactiled.web.server import serve
+from tests.conftest import BRIDGES, BUSY_S, CONFIG, TOKENS, Rig, ask, meanwhile, problem, running, until
 from tests.web.http.raw import websocket_url
 from tests.web.ws.clients import closed
 
@@ -256,8 +259,14 @@ def test_a_message_is_made_once_for_all_clients_and_those_of_clients_are_ignored
 GUARDED = Server(port=0, xela=0, **TOKENS)
 
 
+@contextmanager
+def xela_clients(rig, config=GUARDED):
+    with XelaClients().running(Host(rig.service, config, [])) as words:
+        yield words and words.removeprefix("XELA's clients at ")
+
+
 def test_the_extra_port_needs_no_token_and_has_nothing_else(rig):
-    with running(rig.service, GUARDED) as url, xela_clients(rig.service, GUARDED) as address:
+    with running(rig.service, GUARDED) as url, xela_clients(rig) as address:
         np.testing.assert_allclose(forces_of(rig, address), newtons(5), atol=1e-5)
         for path, origin, code in ((websocket_url(url, "/"), None, 4401), (address, "http://x", 4403)):
             with connect(path, origin=origin) as client:
@@ -269,12 +278,12 @@ def test_the_extra_port_needs_no_token_and_has_nothing_else(rig):
         for path in ("/api/v1/stream", "/api/v1/sensors/skin/stream"):
             with connect(address + path) as client:
                 assert closed(client) == (4404, f"{path}: no stream: see /xela")
-    with xela_clients(rig.service, Server()) as none:
+    with xela_clients(rig, Server()) as none:
         assert none is None
 
 
 def test_the_extra_port_may_be_open_to_other_machines(rig):
-    with xela_clients(rig.service, GUARDED.model_copy(update={"xela_host": "0.0.0.0"})) as address:
+    with xela_clients(rig, GUARDED.model_copy(update={"xela_host": "0.0.0.0"})) as address:
         for host in {"127.0.0.1", socket.gethostbyname(socket.gethostname())}:
             assert forces_of(rig, f"ws://{host}:{urlsplit(address).port}") is not None
 
@@ -282,7 +291,7 @@ def test_the_extra_port_may_be_open_to_other_machines(rig):
 def test_the_service_prints_the_extra_port_and_ends_with_it(rig, capsys, monkeypatch):
     servers, make = [], server._server
     monkeypatch.setattr(server, "_server", lambda *each: servers.append(make(*each)) or servers[-1])
-    thread = threading.Thread(target=serve, args=(rig.service, GUARDED), daemon=True)
+    thread = threading.Thread(target=serve, args=(create(rig.service, GUARDED, BRIDGES), GUARDED), daemon=True)
     thread.start()
     until(lambda: len(servers) == 2 and all(each.started for each in servers))
     pattern = r", for XELA's clients at (ws://127\.0\.0\.1:[0-9]+) \(stop: Ctrl-C\)"

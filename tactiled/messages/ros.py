@@ -19,7 +19,7 @@ from tactiled.contacts.detection import OUTLINE_SIGMAS, Contact
 from tactiled.contacts.regions import Measures, RegionMeter
 from tactiled.frames import Image
 from tactiled.geometry import tiling
-from tactiled.interop.ros_types import LATCHED, RELIABLE, SENSOR_DATA, Types
+from tactiled.messages.ros_types import LATCHED, RELIABLE, SENSOR_DATA, Types
 from tactiled.units import FORCE_UNITS, M_PER_MM, N_PER_KPA_MM2, PRESSURE, force_text, nanoseconds
 
 DIAGNOSTICS_EVERY_S = 1.0  # at least, as ROS's diagnostic_updater by default

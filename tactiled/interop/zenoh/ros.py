@@ -18,10 +18,10 @@ from rosbags.interfaces import Qos, QosDurability, QosReliability
 from tactiled.config import ros_name
 from tactiled.contacts.detection import Contact
 from tactiled.frames import Image
-from tactiled.interop import ros
-from tactiled.interop.ros_types import RELIABLE, TRIGGER_RESPONSE
-from tactiled.interop.zenoh_session import REQUEST_S, Answer, Request
+from tactiled.interop.zenoh.session import REQUEST_S, Answer, Request
 from tactiled.live.sensor import Sensor
+from tactiled.messages import ros
+from tactiled.messages.ros_types import RELIABLE, TRIGGER_RESPONSE
 
 if TYPE_CHECKING:
     import zenoh

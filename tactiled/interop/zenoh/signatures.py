@@ -15,7 +15,6 @@ from pydantic import BaseModel, Field
 
 from tactiled.bounds import Syntax
 
-SAFE_METHODS = frozenset({"GET", "HEAD", "OPTIONS"})  # which change nothing
 CHALLENGE_S = 10.0  # that a challenge holds
 NO_KEY = "this reader has no zenoh.control_key: nothing may be changed from here"
 NO_CLAIM = "this change carries no claim: a `tactiled serve` of this release that has zenoh.control_key sends one"

@@ -14,9 +14,10 @@ from pydantic_core import from_json
 
 from tactiled.config import Zenoh
 from tactiled.errors import ReaderAnswerError, ReaderError, ReadOnlyError
-from tactiled.interop.signatures import SAFE_METHODS, fits, robot_key, sign
-from tactiled.interop.zenoh_messages import MAX_ANSWER_BYTES, MAX_HEAD_BYTES, MAX_LINE_BYTES, AnswerHead, read
-from tactiled.interop.zenoh_session import REQUEST_S, Answer, Request
+from tactiled.interop.zenoh.messages import MAX_ANSWER_BYTES, MAX_HEAD_BYTES, MAX_LINE_BYTES, AnswerHead, read
+from tactiled.interop.zenoh.session import REQUEST_S, Answer, Request
+from tactiled.interop.zenoh.signatures import fits, robot_key, sign
+from tactiled.web.http.headers import SAFE_METHODS
 
 if TYPE_CHECKING:
     import zenoh

@@ -21,17 +21,18 @@ from pydantic_core import from_json
 from tactiled.config import Zenoh
 from tactiled.errors import TactileError
 from tactiled.frames import Image
-from tactiled.interop.signatures import SAFE_METHODS, Gate, Question
-from tactiled.interop.zenoh_session import HEARTBEAT_S, LEASE_S, Answer, Head, Request, open_session
+from tactiled.interop.zenoh.session import HEARTBEAT_S, LEASE_S, Answer, Head, Request, open_session
+from tactiled.interop.zenoh.signatures import Gate, Question
 from tactiled.live.events import Event
 from tactiled.live.sensor import Sensor
 from tactiled.threads import join_started
+from tactiled.web.http.headers import SAFE_METHODS
 from tactiled.wire import PRESSURES, SHEARED, Kind, pack
 
 if TYPE_CHECKING:
     import zenoh
 
-    from tactiled.interop.ros_live import Node
+    from tactiled.interop.zenoh.ros import Node
     from tactiled.live.service import Service
 
 LOG = logging.getLogger(__name__)
@@ -79,7 +80,7 @@ class Publisher:
         """A sensor's node for ROS 2; None where none is configured."""
         if self._settings.ros_domain is None:
             return None
-        from tactiled.interop.ros_live import Node  # an extra
+        from tactiled.interop.zenoh.ros import Node  # an extra
 
         return Node(session, self._settings.ros_domain, sensor, self.handle, self.requests)
 

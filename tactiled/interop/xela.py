@@ -9,7 +9,8 @@ clients drop a message in which it is null. No public client sends that server a
 import asyncio
 import json
 import time
-from contextlib import ExitStack
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
 from typing import cast
 
 import numpy as np
@@ -19,15 +20,19 @@ from tactiled.bus.codecs.xela import REST, Xela
 from tactiled.config import Server
 from tactiled.frames import MISSING, RawFrame
 from tactiled.live.sensor import Sensor
-from tactiled.web.answers import ServiceView
+from tactiled.live.service import Service
+from tactiled.web.bridge import Bridge, Host
 from tactiled.web.http import problems
 from tactiled.web.http.auth import AccessControl
 from tactiled.web.http.limits import ConcurrencyLimit, RateLimit
+from tactiled.web.server import on_thread
+from tactiled.web.ws.asyncapi import TOKEN, Json, channel, operation
 from tactiled.web.ws.feed import Feed, Feeds, ticking
 from tactiled.web.ws.pacing import protocol
-from tactiled.web.ws.session import NOT_FOUND, RESTART, StreamEndError, receive, serve
+from tactiled.web.ws.session import BAD_REQUEST, NOT_FOUND, RESTART, StreamEndError, receive, serve
 from tactiled.web.ws.stream import no_stream
 
+ABOUT = "A welcome, then the newest frame of every live module with the codec xela, in the JSON of XELA's server"
 NO_MODULE = "no sensor here has the codec xela"
 DECIMALS = 5  # of a force in N, as that server gives them
 SPECIAL_TAIL = [0.0, 0, 0, 0, 0.0, 0, 0, 0, 0.0]  # of unknown meaning; a public note has that server send these
@@ -63,7 +68,7 @@ def _modules(feeds: Feeds, before: list["_Module"]) -> list["_Module"]:
     return [_Module(str(number), feed, model) for number, (feed, model) in enumerate(xelas, 1)]
 
 
-def alone(service: ServiceView, server: Server) -> FastAPI:
+def alone(service: Service, server: Server) -> FastAPI:
     """An application that has nothing but this WebSocket, for a port of its own."""
     feeds = Feeds(service)
     app = FastAPI(lifespan=lambda _: ticking(feeds), openapi_url=None, docs_url=None, redoc_url=None)
@@ -73,6 +78,37 @@ def alone(service: ServiceView, server: Server) -> FastAPI:
     streams = ConcurrencyLimit(server.streams_per_client, server.streams)
     app.add_middleware(AccessControl, server=server, rates=RateLimit(server.control_per_minute), streams=streams)
     return app
+
+
+class XelaClients(Bridge):
+    """Serves XELA's clients, on a port of their own, too, where one is given: without a token or TLS."""
+
+    @contextmanager
+    def running(self, host: Host) -> Iterator[str | None]:
+        """Serve that port meanwhile."""
+        if host.server.xela is None:
+            yield None
+            return
+        secrets = dict.fromkeys(("read_token", "control_token", "tls_certificate", "tls_key"))
+        address = {"host": host.server.xela_host, "port": host.server.xela}
+        config = host.server.model_copy(update=secrets | address)
+        with on_thread(alone(host.service, config), config, host.beside) as url:
+            yield f"XELA's clients at {url.replace('http', 'ws', 1)}"
+
+    def routes(self, feeds: Feeds) -> APIRouter:
+        """`WS /xela`, and `/`."""
+        return make(feeds)
+
+    def described(self) -> dict[str, Json]:
+        """That WebSocket, whose clients' messages are ignored."""
+        about = "The JSON of XELA's own server, at / as well; messages of a client are ignored"
+        xela = channel("/xela", about, TOKEN, ("xela",))
+        codes = [each for each in xela["x-close-codes"] if each["code"] != BAD_REQUEST]
+        return {
+            "channels": {"xela": xela | {"x-close-codes": codes}},
+            "operations": {"showXela": operation("send", "xela", ["xela"])},
+            "messages": {"xela": {"title": "xela", "summary": ABOUT, "payload": {"type": "object"}}},
+        }
 
 
 class _Module:

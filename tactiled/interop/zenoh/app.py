@@ -1,35 +1,30 @@
-"""What a server of other processes' sensors forwards to their readers, and how a reader answers."""
+"""The application of a server of other processes' sensors: what it forwards to their readers."""
 
 import asyncio
 import re
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager, suppress
+from collections.abc import Sequence
+from contextlib import suppress
 from typing import Any
-from urllib.parse import parse_qsl, quote, unquote, urlencode
+from urllib.parse import parse_qsl, quote, urlencode
 
-from anyio.from_thread import start_blocking_portal
 from fastapi import APIRouter, FastAPI, Request
 from fastapi.responses import JSONResponse
 from fastapi.routing import APIRoute
 from pydantic import TypeAdapter, ValidationError
 from starlette.concurrency import run_in_threadpool
-from starlette.datastructures import Headers
 from starlette.responses import Response
 from starlette.routing import BaseRoute, Match
-from starlette.types import ASGIApp, Message, Receive, Scope, Send
+from starlette.types import ASGIApp, Receive, Scope, Send
 
-from tactiled import __version__
 from tactiled.calibrate.calibration_file import read as read_calibration
-from tactiled.config import Server, Zenoh
+from tactiled.config import Server
 from tactiled.errors import ConfigError, ReaderAnswerError, TactileError
-from tactiled.interop import zenoh_session
-from tactiled.interop.signatures import SAFE_METHODS
-from tactiled.interop.zenoh_fleet import Fleet
-from tactiled.interop.zenoh_messages import MAX_JSON_BYTES, Settings, first_fault, read
-from tactiled.interop.zenoh_publisher import Publisher
-from tactiled.interop.zenoh_session import REQUEST_S, Answer
-from tactiled.live.sensor import Sensor
-from tactiled.web import answers, schemas
+from tactiled.interop.zenoh import session as zenoh_session
+from tactiled.interop.zenoh.fleet import Fleet
+from tactiled.interop.zenoh.messages import MAX_JSON_BYTES, Settings, first_fault, read
+from tactiled.interop.zenoh.session import Answer
+from tactiled.web import schemas
+from tactiled.web.app import RESOURCES, begin, complete
 from tactiled.web.http import problems
 from tactiled.web.rest import openapi
 from tactiled.web.rest.config import Config, server_settings
@@ -44,10 +39,16 @@ RETRIED = {429, 503}
 MAX_TEXT = 1000  # characters of a problem
 CSV = re.compile(rb"[A-Za-z0-9_,/]*\n(?:[-+.0-9einfa,]*\n)*")  # numbers under their names
 CONFIG_S = 3.0  # that every reader together may take to give its configuration
-ROS_REFUSED = (
-    "a request of ROS 2 carries no claim: it may tare only where the reader has neither zenoh.control_key nor "
-    "server.control_token, and all endpoints of its network are on loopback: tare by the REST API"
-)
+
+
+def create(fleet: Fleet, server: Server) -> FastAPI:
+    """Make the application of the sensors of other processes, by names `robot/sensor`."""
+    app, _ = begin(fleet, server)
+    app.include_router(_config_of(fleet))
+    app.add_middleware(
+        Forward, fleet=fleet, resources=[route for each in RESOURCES for route in each.router.routes]
+    )
+    return complete(app, server)
 
 
 class Forward:
@@ -132,7 +133,7 @@ def _json(answer: Answer, name: str, route: APIRoute) -> Response:
     return Response(adapter.dump_json(value), answer.status, media_type=MEDIA["json"])
 
 
-def config_of(fleet: Fleet) -> APIRouter:
+def _config_of(fleet: Fleet) -> APIRouter:
     """`/api/v1/config` of a fleet: the server's own, and what the readers run with."""
     router = APIRouter(prefix=ROOT, tags=["service"], responses=openapi.problems(*openapi.EVERY_RESOURCE))
 
@@ -160,65 +161,3 @@ def config_of(fleet: Fleet) -> APIRouter:
         return None
 
     return router
-
-
-class Requests:
-    """An application that answers requests which come another way than by HTTP; on an event loop of its own."""
-
-    def __init__(self, app: FastAPI, server: Server, settings: Zenoh) -> None:
-        token = server.control_token
-        self._app, self._token = app, token and token.get_secret_value()
-        is_open = settings.loopback and token is None and settings.control_key is None
-        self._ros_refusal = "" if is_open else ROS_REFUSED
-
-    @contextmanager
-    def running(self) -> Iterator[None]:
-        """Answer meanwhile."""
-        lifespan = self._app.router.lifespan_context(self._app)
-        with start_blocking_portal() as self._portal:
-            self._portal.call(lifespan.__aenter__)
-            try:
-                yield
-            finally:
-                self._portal.call(lifespan.__aexit__, None, None, None)
-
-    def __call__(self, request: zenoh_session.Request) -> Answer:
-        """Answer one request; whoever is on the network may read, and changes need a claim."""
-        refusal = self._ros_refusal if request.refusal is None else request.refusal
-        if request.method not in SAFE_METHODS and refusal:
-            refused = problems.response(403, refusal)
-            return Answer(403, {"content-type": str(refused.media_type)}, bytes(refused.body))
-        headers = request.headers | {"host": "localhost", "content-length": str(len(request.body))}
-        headers |= {"authorization": f"Bearer {self._token}"} if self._token else {}
-        return self._portal.start_task_soon(self._answer, request, headers).result(REQUEST_S)
-
-    async def _answer(self, request: zenoh_session.Request, headers: dict[str, str]) -> Answer:
-        messages: list[Message] = []
-        bodies: list[Message] = [{"type": "http.request", "body": request.body, "more_body": False}]
-
-        async def receive() -> Message:
-            return bodies.pop() if bodies else {"type": "http.disconnect"}
-
-        async def send(message: Message) -> None:
-            messages.append(message)
-
-        raw_path = f"{ROOT}{request.path}"
-        scope: Scope = {
-            "type": "http", "asgi": {"version": "3.0"}, "http_version": "1.1", "method": request.method,
-            "scheme": "http", "path": unquote(raw_path), "raw_path": raw_path.encode(), "root_path": "",
-            "query_string": request.query.encode(), "client": ("127.0.0.1", 0), "server": ("localhost", 0),
-            "headers": [(name.lower().encode(), value.encode()) for name, value in headers.items()],
-        }  # fmt: skip
-        await self._app(scope, receive, send)
-        start = Headers(raw=messages[0]["headers"])
-        media = {"content-type": start["content-type"]} if "content-type" in start else {}
-        return Answer(messages[0]["status"], media, b"".join(each.get("body", b"") for each in messages[1:]))
-
-
-def publisher(service: Any, settings: Zenoh, requests: Requests) -> Publisher:
-    """The publisher of a service's sensors, whose states are as of the REST API."""
-
-    def describe(sensor: Sensor) -> dict[str, Any]:
-        return answers.sensor_state(sensor).model_dump(mode="json") | {"release": __version__}
-
-    return Publisher(service, settings, describe, requests)

@@ -9,6 +9,7 @@ from importlib.util import find_spec
 from tactiled.errors import ConfigError
 from tactiled.frames import Image
 from tactiled.live.service import Service
+from tactiled.web.bridge import Bridge, Host
 
 IMAGES_PER_S = 30.0  # of each sensor; the viewer keeps all of them in memory
 FLUSH_IMAGES = 10  # from one flush to the next, which shows whether the viewer is still there
@@ -17,34 +18,37 @@ RETRY_S = 1.0  # from one look for a viewer to the next
 STOP_S = 1.0  # that the thread has to end; one that waits for a viewer which hangs is left behind
 
 
-@contextmanager
-def to_viewer(service: Service, port: int | None) -> Iterator[None]:
-    """Show the images meanwhile in the viewer that listens on a port of loopback; None: do not."""
-    if port is None:
-        yield
-        return
-    if not find_spec("rerun"):
-        raise ConfigError("--rerun needs Rerun's SDK: pip install 'tactiled[rerun]'")
-    ended = threading.Event()
+class Rerun(Bridge):
+    """Shows the images in the viewer that listens on a port of loopback, whenever there is one."""
 
-    def work() -> None:
-        while not ended.wait(RETRY_S):
-            with service.faults.turn("rerun"), suppress(OSError):  # no viewer is running
-                socket.create_connection(("127.0.0.1", port), RETRY_S).close()
-                _show(service, port, ended)
+    def __init__(self, port: int) -> None:
+        self._port = port
 
-    thread = threading.Thread(target=work, name="rerun", daemon=True)
-    thread.start()
-    try:
-        yield
-    finally:
-        ended.set()
-        thread.join(STOP_S)
+    @contextmanager
+    def running(self, host: Host) -> Iterator[None]:
+        """Show meanwhile."""
+        if not find_spec("rerun"):
+            raise ConfigError("--rerun needs Rerun's SDK: pip install 'tactiled[rerun]'")
+        ended = threading.Event()
+
+        def work() -> None:
+            while not ended.wait(RETRY_S):
+                with host.service.faults.turn("rerun"), suppress(OSError):  # no viewer is running
+                    socket.create_connection(("127.0.0.1", self._port), RETRY_S).close()
+                    _show(host.service, self._port, ended)
+
+        thread = threading.Thread(target=work, name="rerun", daemon=True)
+        thread.start()
+        try:
+            yield
+        finally:
+            ended.set()
+            thread.join(STOP_S)
 
 
 def _show(service: Service, port: int, ended: threading.Event) -> None:
     """Send images until the viewer is gone, or sensors or their calibration have changed."""
-    from tactiled.interop import rerun_images
+    from tactiled.messages import rerun as rerun_images
 
     sensors, stream, ticks = service.sensors, rerun_images.new_stream(), 0
     plans, newest = {name: sensor.plan for name, sensor in sensors.items()}, dict[str, Image]()
