@@ -43,11 +43,11 @@ class Kriging(Protocol):
         What lies beyond a `box` that everything that presses is in may be taken to read zero.
         """
 
-    def variances(self, spectrum: Spectrum) -> Floats:
-        """Give the variance of a frame's coefficients in `bases`, noise included."""
+    def variances(self, ratios: Floats) -> Floats:
+        """Give the variance of a frame's coefficients in `bases`, noise included, by each of many S (K, R, C)."""
 
-    def amplification(self, spectrum: Spectrum) -> float:
-        """Give the most by which the linear image amplifies what taxels feel."""
+    def amplifications(self, ratios: Floats) -> Floats:
+        """Give the most by which the linear image amplifies what taxels feel, by each of many S (K, R, C)."""
 
     def precise(self, y: Image, spectrum: Spectrum) -> Image:
         """Give what is left of each taxel's reading that the others do not say, over its variance: C^-1 y."""
@@ -116,24 +116,24 @@ class Part(Kriging):
             surface.complete(matrix, y, *self._beyond, *at, box[:4] if box else self._whole, self._frame)
         return self._frame
 
-    def variances(self, spectrum: Spectrum) -> Floats:
-        """Give the variance of a frame's coefficients in `bases`, noise included."""
-        return np.asarray(self._shares[0] @ self._variance(spectrum) @ self._shares[1].T)
+    def variances(self, ratios: Floats) -> Floats:
+        """Give the variance of a frame's coefficients in `bases`, noise included, by each of many S (K, R, C)."""
+        return np.asarray(self._shares[0] @ self._variance(ratios) @ self._shares[1].T)
 
-    def amplification(self, spectrum: Spectrum) -> float:
-        """Give the most by which the linear image amplifies what taxels feel."""
-        S = spectrum.ratio[self._modes.head]
-        return float((self._modes.gain * S / self._variance(spectrum)).max())
+    def amplifications(self, ratios: Floats) -> Floats:
+        """Give the most by which the linear image amplifies what taxels feel, by each of many S (K, R, C)."""
+        S = ratios[self._modes.head]
+        return np.asarray((self._modes.gain * S / self._variance(ratios)).max(axis=(1, 2)))
 
     def precise(self, y: Image, spectrum: Spectrum) -> Image:
         """Give C^-1 y."""
         spectrum = self._shared(spectrum)
-        return self._apply(np.asarray(1 / self._variance(spectrum), np.float32), self(y, spectrum))
+        return self._apply(np.asarray(1 / self._variance(spectrum.ratio), np.float32), self(y, spectrum))
 
     def precision(self, spectrum: Spectrum) -> Floats:
         """Give the diagonal of C^-1, of the frame's shape."""
         spectrum = self._shared(spectrum)
-        values = np.asarray(1 / self._variance(spectrum), np.float32)
+        values = np.asarray(1 / self._variance(spectrum.ratio), np.float32)
         diagonal = self._squares(values, self._squares.empty())[self._own].astype(float)
         if len(self._missing):
             self._matrix(spectrum)
@@ -155,7 +155,7 @@ class Part(Kriging):
         variance = np.zeros(tuple(len(basis) for basis in modes.surface))
         if not lost.any() or np.count_nonzero(lost) > MAX_COVARIANCE_TAXELS:
             return variance
-        rows, precision = _patterns(modes, lost), 1 / self._variance(spectrum)
+        rows, precision = _patterns(modes, lost), 1 / self._variance(spectrum.ratio)
         scale = np.sqrt(rough[lost])
         Q = (rows * precision.ravel()) @ rows.T / np.outer(scale, scale)
         errors = np.linalg.cholesky(np.linalg.inv(Q + np.diag(extra[lost]))).T @ rows
@@ -170,9 +170,9 @@ class Part(Kriging):
         np.multiply(self._coefficients, values, out=self._coefficients)
         return self._synthesise(self._coefficients, self._product)[self._own]
 
-    def _variance(self, spectrum: Spectrum) -> Floats:
-        """Variance v of every taxel mode: h^2 S + 1, and what the model's error adds."""
-        S = spectrum.ratio[self._modes.head]
+    def _variance(self, ratio: Floats) -> Floats:
+        """Variance v of every taxel mode by S (..., R, C): h^2 S + 1, and what the model's error adds."""
+        S = ratio[self._modes.head]
         return np.asarray(self._modes.gain**2 * S + 1 + self._gain_variance * S)
 
     def _shared(self, spectrum: Spectrum) -> Spectrum:
@@ -189,7 +189,7 @@ class Part(Kriging):
         """-Q_mm^-1 Q_mk of a spectrum, made when that is first met."""
         if spectrum not in self._matrices:
             (U, V), shape = self._modes.taxel, self._modes.gain.shape
-            patterns = _patterns(self._modes, ~self._there) / self._variance(spectrum).ravel()
+            patterns = _patterns(self._modes, ~self._there) / self._variance(spectrum.ratio).ravel()
             Q = (U @ patterns.reshape(-1, *shape) @ V.T).reshape(len(patterns), -1)
             matrix = np.asarray(-np.linalg.solve(Q[:, self._missing], Q[:, self._known]), np.float32)
             _keep(self._matrices, spectrum, matrix)
@@ -235,16 +235,16 @@ class Anywhere(Kriging):
         self._matrices[spectrum].dot(y.reshape(-1), self._flat)
         return self._frame
 
-    def variances(self, spectrum: Spectrum) -> Floats:
-        """Give the variance of a frame's coefficients in `bases`, noise included."""
-        S = spectrum.ratio.ravel()
-        v = self._shares @ S + self._noise_shares @ (self._gain_variance * S) + 1
-        return np.asarray(v.reshape(self._shape))
+    def variances(self, ratios: Floats) -> Floats:
+        """Give the variance of a frame's coefficients in `bases`, noise included, by each of many S (K, R, C)."""
+        S = ratios.reshape(len(ratios), -1, 1)
+        v = self._shares @ S + self._noise_shares @ (self._gain_variance[:, None] * S) + 1
+        return np.asarray(v.reshape(-1, *self._shape))
 
-    def amplification(self, spectrum: Spectrum) -> float:
-        """Give the most by which the linear image amplifies what taxels feel."""
-        S = spectrum.ratio.ravel()
-        return float((self._h * S / ((self._h**2 + self._gain_variance) * S + 1)).max())
+    def amplifications(self, ratios: Floats) -> Floats:
+        """Give the most by which the linear image amplifies what taxels feel, by each of many S (K, R, C)."""
+        S = ratios.reshape(len(ratios), -1)
+        return np.asarray((self._h * S / ((self._h**2 + self._gain_variance) * S + 1)).max(axis=1))
 
     def precise(self, y: Image, spectrum: Spectrum) -> Image:
         """Give C^-1 y."""

@@ -6,6 +6,7 @@ Two small matrix products on either side then replace a padded Fourier transform
 """
 
 from dataclasses import dataclass
+from types import EllipsisType
 
 import numpy as np
 from numpy.typing import NDArray
@@ -67,9 +68,9 @@ class Modes:
     surface: tuple[Floats, ...]  # V: the same for the surface
 
     @property
-    def head(self) -> tuple[slice, ...]:
-        """Where among the surface's modes those are that the taxels can see."""
-        return tuple(slice(n) for n in self.gain.shape)
+    def head(self) -> tuple[EllipsisType | slice, ...]:
+        """Where among the surface's modes, the last axes, those are that the taxels can see."""
+        return ..., *(slice(n) for n in self.gain.shape)
 
     def gain_variance(self, thickness_variance: float) -> Floats:
         """Variance of every gain under a cover whose thickness has a relative `thickness_variance`.

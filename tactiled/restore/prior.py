@@ -49,31 +49,36 @@ class Prior:
         modes: Modes,
         noise: float,
         bases: tuple[Floats, ...],
-        variances: Callable[[Spectrum], Floats],
-        amplification: Callable[[Spectrum], float],
+        variances: Callable[[Floats], Floats],
+        amplifications: Callable[[Floats], Floats],
     ) -> None:
         """Give the surface's modes; the rest is as in Kriging."""
         self._analyse = Transform(tuple(basis.T for basis in bases))
         own_shape = self._analyse.shape
         self._first = [_half_octaves(n) for n in own_shape]
-        count = self._pool(np.ones(own_shape))
-        self.spectra: list[Spectrum] = []  # their levels rise
-        costs: list[list[float]] = []
-        shapes = [((1 + (modes.frequency / q0) ** 2) ** -p, q0, p) for q0, p in product(CORNERS, POWERS)]
-        for level, shape in product(LEVELS, shapes):
-            spectrum = Spectrum(level, *shape)
-            if amplification(spectrum) > MAX_AMPLIFICATION and costs:
-                continue
-            v = noise**2 * variances(spectrum)
+        count = self._pool(np.ones((1, *own_shape)))
+        kept: list[tuple[float, int, Spectrum, Floats]] = []
+        for at, (q0, p) in enumerate(product(CORNERS, POWERS)):
+            shape = (1 + (modes.frequency / q0) ** 2) ** -p
+            ratios = LEVELS[:, None, None] * shape
+            levels = LEVELS[amplifications(ratios) <= MAX_AMPLIFICATION]
+            if not (at or len(levels)):
+                levels = LEVELS[:1]  # one is kept in any case
+            v = noise**2 * variances(ratios[: len(levels)])  # amplification rises with the level
             # The logarithms ride along as one more block, whose power is always 1.
-            costs.append([*(self._pool(1 / v) / count).ravel(), np.log(v).sum()])
-            self.spectra.append(spectrum)
-        self._costs = np.array(costs, np.float32)
+            logarithms = np.log(v).reshape(len(v), -1).sum(axis=1, keepdims=True)
+            costs = np.hstack([(self._pool(1 / v) / count).reshape(len(v), -1), logarithms])
+            kept += (
+                (level, at, Spectrum(level, shape, q0, p), cost) for level, cost in zip(levels, costs, strict=True)
+            )
+        kept.sort(key=lambda each: each[:2])
+        self.spectra = [each[2] for each in kept]  # their levels rise
+        self._costs = np.array([each[3] for each in kept], np.float32)
         self._blocks = self._first[0], self._first[1] if len(own_shape) == 2 else np.zeros(1, np.int64)
 
     def _pool(self, values: Floats) -> Floats:
         # Not by a matrix product: BLAS kernels may raise floating-point flags from lanes that they then discard.
-        for axis, first in enumerate(self._first):
+        for axis, first in enumerate(self._first, start=1):
             values = np.add.reduceat(values, first, axis=axis)
         return np.asarray(values, float)
 

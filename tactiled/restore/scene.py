@@ -63,7 +63,7 @@ class Scene:
         self.gain_variance = self.modes.gain_variance(excess)  # of the cover's model, that filters are to count
         self.kriging = make(array, self.modes, self.gain_variance)
         kriging = self.kriging
-        self.prior = Prior(self.modes, noise, kriging.bases, kriging.variances, kriging.amplification)
+        self.prior = Prior(self.modes, noise, kriging.bases, kriging.variances, kriging.amplifications)
         self._analyse = self.modes.to_taxel_modes()
         self.c = self._analyse.empty()
         self.flat = self.c.reshape(-1)
