@@ -16,9 +16,9 @@ from tactiled.live.sensor import Sensor
 from tactiled.processes import Cancelled, FitProcess
 
 Way = Literal["uniform", "weight", "tip", "edge", "blind"]
-State = Literal["collecting", "fitting", "fitted", "ended"]
+SessionState = Literal["collecting", "fitting", "fitted", "ended"]
 Action = Literal["mark", "fit", "fit_done", "fit_failed", "cancel", "apply", "discard"]
-NEXT_STATE: dict[tuple[State, Action], State] = {
+NEXT_STATE: dict[tuple[SessionState, Action], SessionState] = {
     ("collecting", "mark"): "collecting",
     ("collecting", "fit"): "fitting",
     ("collecting", "discard"): "ended",
@@ -45,7 +45,7 @@ class CalibrationSession:
     def __init__(self, sensor: Sensor, procedure: Procedure, clock: Callable[[], float] = time.monotonic) -> None:
         self.sensor, self.procedure = sensor, procedure
         self.collector = FrameCollector(sensor.array.size)
-        self.state: State = "collecting"
+        self.state: SessionState = "collecting"
         self.outcome: Outcome | None = None
         self.error = ""  # why the last fit failed
         self._clock, self._lock = clock, threading.RLock()
@@ -127,7 +127,7 @@ class CalibrationSession:
         self._stop_collecting()
         self.collector, self.outcome = FrameCollector(self.sensor.array.size), None  # the memory
 
-    def _need(self, action: Action) -> State:
+    def _need(self, action: Action) -> SessionState:
         """State after an action; CalibrationStateError where the present one does not allow it."""
         try:
             return NEXT_STATE[self.state, action]

@@ -11,9 +11,9 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from tactiled import systemd
+from tactiled.arrays import Reals
 from tactiled.build import SensorPlan, sensor_plan, sensor_plans, without_file
 from tactiled.bus.codecs.pushed import Pushed
 from tactiled.bus.pusher import Pusher
@@ -37,8 +37,6 @@ from tactiled.live.sensor import BUDGET_SHARE, MAX_SHARES, Sensor
 from tactiled.live.state import KeptTare, StateFile
 from tactiled.live.watch import Watch
 from tactiled.restore.methods import METHODS, OLD_NAMES, named
-
-Floats = NDArray[np.float32 | np.float64]
 
 
 class Service:
@@ -90,7 +88,7 @@ class Service:
         except KeyError as error:
             raise UnknownSensorError.among(name, self.sensors) from error
 
-    def push(self, name: str, values: Floats, sequence: int | None = None, time_s: float | None = None) -> int:
+    def push(self, name: str, values: Reals, sequence: int | None = None, time_s: float | None = None) -> int:
         """Take a frame, of the array's shape or (N,), NaN: unknown; gives its sequence number.
 
         NotPushedError where the sensor reads a bus or a recording, ConfigError for another shape, BusError where

@@ -12,10 +12,10 @@ TARE_FRAMES = 16  # that a tare takes at least
 TARE_S = 0.5  # of frames that it takes at least: 25 periods of the mains, and 50 frames at 100 Hz
 MAX_TARE_FRAMES = 256  # that it takes at most: a skin of more than 512 Hz is tared in less time
 
-State = Literal["none", "requested", "collecting", "judged", "done", "refused", "lapsed", "undone"]
+TareState = Literal["none", "requested", "collecting", "judged", "done", "refused", "lapsed", "undone"]
 Event = Literal["request", "frame", "enough", "zero", "load", "break", "undo"]
-UNDER_WAY: tuple[State, ...] = ("requested", "collecting")
-NEXT: dict[tuple[State, Event], State] = {  # what is not here changes nothing; a request starts over
+UNDER_WAY: tuple[TareState, ...] = ("requested", "collecting")
+NEXT: dict[tuple[TareState, Event], TareState] = {  # what is not here changes nothing; a request starts over
     ("requested", "frame"): "collecting",
     ("collecting", "enough"): "judged",
     ("judged", "zero"): "done",
@@ -35,7 +35,7 @@ class Tare:
         self._lock = Lock()
         self._frames: list[Floats32] = []  # (1 or 3, N) each
         self._first_at = 0.0  # s, when the first frame came
-        self.state: State = "none"  # of the tare under way, or the last
+        self.state: TareState = "none"  # of the tare under way, or the last
         self.time, self.force = 0.0, False  # the same
         self.done = self.refused = self.lapsed = 0  # times that a tare ended so
         self.load = ""  # in words: what the last refused tare met

@@ -1,4 +1,4 @@
-"""Images and messages in Foxglove's schemas; with `foxglove_live` all that knows its SDK, which is an extra.
+"""Images and messages in Foxglove's schemas; with `interop.foxglove` all that knows its SDK, which is an extra.
 
 Images in rows and columns are foxglove.Grid, taxels that are no grid foxglove.PointCloud, true to scale in m: x
 along a row, y down a column, in the array's own frame of reference, which has the sensor's name.

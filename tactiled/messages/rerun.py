@@ -1,4 +1,4 @@
-"""One sensor's images for Rerun's viewer: all that knows its SDK, which is an extra, with `rerun_live`.
+"""One sensor's images for Rerun's viewer: all that knows its SDK, which is an extra, with `interop.rerun`.
 
 Maps are in mm: x along a row, y down a column. Both have one colour scale, from 0 to the highest pressure so far.
 """

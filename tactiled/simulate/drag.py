@@ -2,8 +2,9 @@
 
 import numpy as np
 
+from tactiled.arrays import Floats
 from tactiled.simulate.array import Surface
-from tactiled.simulate.scenes import Floats, Scene
+from tactiled.simulate.scenes import Scene
 
 FRICTION = 0.25  # load over pressure where what touches slides
 SLOW_MM_S = 2.0  # speed at which it is half of that

@@ -7,6 +7,7 @@ from threading import Event
 
 import numpy as np
 
+from tactiled.arrays import Floats
 from tactiled.bus.codec import Codec, ShearCodec
 from tactiled.calibrate.counts.calibration import Calibration
 from tactiled.cover.kernel import Kernel
@@ -16,7 +17,7 @@ from tactiled.frames import Message
 from tactiled.geometry import Array
 from tactiled.simulate.array import Surface, Taxels
 from tactiled.simulate.drag import traction
-from tactiled.simulate.scenes import SCENES, Floats
+from tactiled.simulate.scenes import SCENES
 
 TOUR = ("ring", "indenters", "sphere", "edge", "fingertip", "empty")
 REQUEST_WAIT_S = 0.05  # bounds how late a stop takes effect

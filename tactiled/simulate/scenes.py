@@ -8,9 +8,9 @@ from collections.abc import Callable
 from typing import TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
-Floats: TypeAlias = NDArray[np.float64]
+from tactiled.arrays import Floats
+
 Scene: TypeAlias = Callable[[Floats, Floats, float, float, float], Floats]
 # Over the root of x^3 = x + 1, and its square: numbers times these, modulo 1, fill a square evenly.
 PLASTIC_STEPS = (0.7548776662466927, 0.5698402909980532)

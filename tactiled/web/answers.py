@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactiled.bus.error_frames import KINDS
-from tactiled.calibrate.upkeep.drift import State as DriftState
+from tactiled.calibrate.upkeep.drift import DriftState
 from tactiled.calibrate.upkeep.health import RULES, Fault
 from tactiled.contacts.detection import Contact
 from tactiled.cover.summary import summarise

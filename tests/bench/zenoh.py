@@ -11,7 +11,7 @@ import typer
 from tactiled.config import Server, Zenoh, parse
 from tactiled.frames import Loss, RawFrame
 from tactiled.interop.zenoh.fleet import Fleet
-from tactiled.interop.zenoh.publisher import Publisher
+from tactiled.interop.zenoh.publisher import ReaderPublisher
 from tactiled.interop.zenoh.session import Answer
 from tactiled.live.sensor import Sensor
 from tactiled.live.service import Service
@@ -49,7 +49,7 @@ def read(endpoint, robot, count, seconds, out):
         return answers.sensor_state(sensor).model_dump(mode="json")
 
     settings = Zenoh(mode="client", connect=[endpoint], robot=robot)
-    with Publisher(service, settings, describe, lambda _: Answer(200, {}, geometry)).running():
+    with ReaderPublisher(service, settings, describe, lambda _: Answer(200, {}, geometry)).running():
         time.sleep(5)  # until a server knows the sensors
         cpu, start, frames = time.process_time(), time.monotonic(), 0
         while time.monotonic() < start + seconds:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from tactiled.arrays import Floats
 from tactiled.core import readings
 from tactiled.restore.noise import MAD_TO_SIGMA, NOISY_RATIO, bends, detection_threshold
 from tactiled.units import PRESSURE, Unit, number_text
@@ -27,8 +28,6 @@ BELOW_SHARE = 0.1  # of the highest reading since the tare: a slowly recovering 
 SPIKE_SIGMAS = 4.0  # robust standard deviations from a taxel's median: a reading beyond is a spike
 SPIKE_COUNTS = 1.5  # of whole counts: neighbouring counts are noise, even where most readings are the same
 MOVING_BLOCKS = 4  # of a tare's frames, whose means must agree
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

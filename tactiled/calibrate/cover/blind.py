@@ -37,7 +37,9 @@ from tactiled.geometry import Array
 from tactiled.restore.noise import NORMAL_95
 
 Skin = tuple[CoverFamily, Array]
-Contact = tuple[Images, int, float]  # frames over noise, place of the one that counts, variance of their zero
+ContactFrames = tuple[
+    Images, int, float
+]  # frames over noise, place of the one that counts, variance of their zero
 
 MIN_OWN_NOISE = 0.25  # of a taxel's noise, that is not shared, at least
 GAIN_ERROR = 0.01  # relative standard deviation of a taxel's gain, at least: cells explain no frame better
@@ -177,7 +179,7 @@ def fit_blind(
 
 
 def add_contacts(
-    kept: Profiles | None, contacts: list[Contact], gain_error: float, stack: Stack, array: Array
+    kept: Profiles | None, contacts: list[ContactFrames], gain_error: float, stack: Stack, array: Array
 ) -> tuple[Profiles, CoverFit]:
     """Profiles of the newest MAX_FRAMES contacts and their fit."""
     family = CoverFamily(stack)

@@ -43,7 +43,7 @@ ALONE_SIGMAS, ALONE_ERROR = 2.0, BAND / 4  # of its neighbours' sum, by which a 
 FELT = 1e-3  # of a contact's pressure: what is felt beyond its reach
 
 
-class State(IntEnum):
+class DriftState(IntEnum):
     """What is known of a taxel's load: the first that applies.
 
     The zeros of free taxels and of those that read too little follow their readings, all others the common mode,
@@ -143,7 +143,7 @@ class DriftTracker:
         self._lifted_s = np.full(size, np.inf, np.float32)  # since most of its load has gone
         self._missed = np.zeros(size, np.float32)  # drift that a loaded taxel's zero may lack
         self._free_s = np.full(size, SETTLE_S, np.float32)
-        self.state = np.full(size, State.FREE, np.uint8)
+        self.state = np.full(size, DriftState.FREE, np.uint8)
         self.common = 0.0  # counts of the common mode since the reset
         self._common_rate = 0.0  # counts a second, what all read alike included
         self._shared_rate = 0.0  # counts a second: running mean of that alone
@@ -176,9 +176,9 @@ class DriftTracker:
         self._smooth += np.where(readable, weight * (reading - self._smooth), 0)
         loaded, below = self._outside(block, reading, sigma, weight)
         loaded &= ~self._alone(loaded & readable & (block.span <= QUIET_SIGMAS * sigma), readable, sigma, weight)
-        was_loaded = self.state == State.LOADED
+        was_loaded = self.state == DriftState.LOADED
         self.state = self._judge(readable, loaded & readable, below, seconds)
-        unloaded = was_loaded & (self.state > State.LOADED)
+        unloaded = was_loaded & (self.state > DriftState.LOADED)
         self._idle[unloaded] = self._smooth[unloaded] = reading[unloaded]
         self._follow(reading, gap, seconds)
         self._move(seconds, sigma, references)
@@ -188,7 +188,7 @@ class DriftTracker:
         self._stepped_s += gap
         self._shared_rate *= 1 - min(1.0, seconds / TIME_S)
         self._alike *= float(np.exp(-gap / SMOOTHING_S))
-        free = readable & (self.state >= State.BELOW)
+        free = readable & (self.state >= DriftState.BELOW)
         of_parts = [reading[each & free] for each in self._parts]
         medians = np.array([_median(each) for each in of_parts if each.size >= MIN_VOTERS])
         if len(medians) <= len(self._parts) / 2:
@@ -230,7 +230,7 @@ class DriftTracker:
         """Loaded taxels (N,) whose neighbours read less than any load gives them: they drift by themselves."""
         alone = np.zeros_like(loaded)
         if self._neighbourhood is not None and loaded.any():
-            near = readable & (self.state == State.NEAR)  # as far behind their drift as its neighbours
+            near = readable & (self.state == DriftState.NEAR)  # as far behind their drift as its neighbours
             over = self._smooth - np.median(self._smooth[near if near.any() else readable])
             taxels = self._neighbourhood.peaks(np.flatnonzero(loaded), over)
             error = weight / (2 - weight) * sigma**2 / BLOCK_FRAMES + (ALONE_ERROR * self._full_scale) ** 2
@@ -240,7 +240,7 @@ class DriftTracker:
 
     def _lifted(self, reading: Floats32, margin: float) -> Mask:
         """Loaded taxels (N,) that may be free now: most of their load has gone, or of one within reach."""
-        loaded = (self.state == State.LOADED) & (reading < self._missed + margin)
+        loaded = (self.state == DriftState.LOADED) & (reading < self._missed + margin)
         lifted = loaded & (reading < LIFTED * self._peak)
         self._lifted_s[lifted] = 0
         near = self._around(self._lifted_s < LIFT_S) if lifted.any() or loaded.any() else lifted
@@ -252,11 +252,11 @@ class DriftTracker:
         free = readable & ~near & ~below
         self._free_s = np.where(free, self._free_s + np.float32(seconds), np.float32(0))
         conditions = [~readable, loaded, near, below, self._free_s < SETTLE_S]
-        return np.select(conditions, list(State)[:-1], State.FREE).astype(np.uint8)
+        return np.select(conditions, list(DriftState)[:-1], DriftState.FREE).astype(np.uint8)
 
     def _follow(self, reading: Floats32, gap: float, seconds: float) -> None:
         """Follow what is known of each taxel while its zero may not: slow motion, and since when it is loaded."""
-        loaded = self.state == State.LOADED
+        loaded = self.state == DriftState.LOADED
         limit = (MAX_RATE * self._full_scale + abs(self._common_rate)) * seconds
         self._idle += np.where(loaded, 0, np.clip(self._smooth - self._idle, -limit, limit))
         self._lifted_s += np.float32(gap)
@@ -268,13 +268,13 @@ class DriftTracker:
 
     def _votes(self) -> Mask | None:
         """Which taxels (N,) make up the common mode; None where they are too few."""
-        voters = self.state == State.FREE
+        voters = self.state == DriftState.FREE
         return voters if np.count_nonzero(voters) >= MIN_VOTERS else None
 
     def _move(self, seconds: float, sigma: Floats32, references: Floats32 | None) -> None:
         """Move the zeros: by their own readings, or by the common mode."""
         limit, sensitivity = MAX_RATE * self._full_scale + abs(self._common_rate), self._sensitivity.values
-        votes, part = self.state == State.FREE, min(1.0, seconds / TIME_S)
+        votes, part = self.state == DriftState.FREE, min(1.0, seconds / TIME_S)
         own_rate = np.clip(self._rate + self._smooth * part / TIME_S, -limit, limit)
         if (voters := self._votes()) is not None:
             common = float(np.median(self._moved[voters] / sensitivity[voters]))
@@ -285,7 +285,7 @@ class DriftTracker:
         self._common_rate = float(
             np.clip(common + (self._shared_rate if voters is not None else 0), -fastest, fastest)
         )
-        follows = votes | (self.state == State.BELOW)
+        follows = votes | (self.state == DriftState.BELOW)
         common_rate = np.clip(common * sensitivity, -limit, limit)
         self._rate = np.where(follows, own_rate, common_rate).astype(np.float32)
         own = np.clip(self._rate * seconds + 2 * part * self._smooth, -limit * seconds, limit * seconds)
@@ -296,5 +296,5 @@ class DriftTracker:
         self._zero += step
         self._smooth -= step
         self._idle -= np.where(follows, step, 0)
-        learning = np.count_nonzero(votes) >= MIN_LEARNERS * np.count_nonzero(self.state != State.UNREAD)
+        learning = np.count_nonzero(votes) >= MIN_LEARNERS * np.count_nonzero(self.state != DriftState.UNREAD)
         self._sensitivity.learn(self._zero, self.common, votes if learning else np.zeros_like(votes), sigma)

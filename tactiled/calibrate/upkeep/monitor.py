@@ -27,7 +27,7 @@ class SkinState:
     since_s: Floats  # (N,) time of the frame from which a taxel has been in its state; NaN: the start
     noise_counts: Floats  # (N,) standard deviation, NaN: unknown
     drift_counts: Floats32 | None  # (N,) by which the zeros have moved since they were measured
-    drift_states: Flags | None  # (N,) of drift.State; None, both: drift is not tracked
+    drift_states: Flags | None  # (N,) of DriftState; None, both: drift is not tracked
     creep: Creep | None
 
 

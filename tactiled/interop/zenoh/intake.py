@@ -198,7 +198,7 @@ class Intake:
     def _build(
         self, line: Line, session: str, description: tuple[bytes, bytes], request: Callable[[Request], Answer]
     ) -> None:
-        state = messages.read(messages.State, description[0], messages.MAX_STATE_BYTES)
+        state = messages.read(messages.ReportedState, description[0], messages.MAX_STATE_BYTES)
         geometry = messages.read(messages.Geometry, description[1], messages.MAX_JSON_BYTES)
         robot = self.robots.get(line.robot)
         if robot is None:  # forgotten meanwhile
@@ -264,7 +264,7 @@ class Intake:
         if data is None or sensor is None:
             return
         try:
-            sensor.reported = messages.read(messages.State, data, messages.MAX_STATE_BYTES)
+            sensor.reported = messages.read(messages.ReportedState, data, messages.MAX_STATE_BYTES)
             line.close(sensor.reported.closing)
         except ValueError as error:
             self.refuse(line, f"{error}")

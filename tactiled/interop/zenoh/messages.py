@@ -18,7 +18,7 @@ from tactiled.bounds import NAME, Bounds, Name, Pitch, Place, Syntax
 from tactiled.diagnostics.warning_codes import WarningCode
 from tactiled.frames import Direction, FrameWarning
 from tactiled.live.events import Kind as EventKind
-from tactiled.live.sensor import State as SensorState
+from tactiled.live.sensor import State
 from tactiled.wire import Unpacked, unpack
 
 ROBOT_AND_SENSOR = re.compile(rf"{NAME[1:-1]}/{NAME[1:-1]}")
@@ -68,10 +68,10 @@ class Warned(Message):
         return FrameWarning(**dict(self))
 
 
-class State(Message):
+class ReportedState(Message):
     """A sensor as its reader has it."""
 
-    state: SensorState
+    state: State
     detail: Text
     rate_hz: Annotated[float, Bounds(0, 1e6, "Hz")]
     jitter_s: Seconds | None

@@ -46,7 +46,7 @@ Describe = Callable[[Sensor], dict[str, Any]]  # a sensor's state, as of the RES
 Handle = Callable[[Request], Answer]
 
 
-class Publisher:
+class ReaderPublisher:
     """Publishes what a service has, on a thread of its own; a network that is not there is tried for ever."""
 
     def __init__(self, service: "Service", settings: Zenoh, describe: Describe, handle: Handle) -> None:
@@ -140,7 +140,7 @@ class Publisher:
 class _Publication:
     """One sensor: nothing of it is published while another publisher has its name."""
 
-    def __init__(self, publisher: Publisher, session: "zenoh.Session", sensor: Sensor) -> None:
+    def __init__(self, publisher: ReaderPublisher, session: "zenoh.Session", sensor: Sensor) -> None:
         self.sensor, self.id = sensor, secrets.token_hex(8)
         self._publisher, self._session, self._base = publisher, session, f"{publisher.root}/{sensor.name}"
         self._kinds: tuple[Kind, ...] = SHEARED if sensor.plan.shears else PRESSURES

@@ -14,7 +14,7 @@ from starlette.types import Message, Scope
 
 from tactiled import __version__, logs
 from tactiled.config import Server, Zenoh
-from tactiled.interop.zenoh.publisher import Publisher
+from tactiled.interop.zenoh.publisher import ReaderPublisher
 from tactiled.interop.zenoh.session import REQUEST_S, Answer, Request, need
 from tactiled.live.sensor import Sensor
 from tactiled.live.service import Service
@@ -115,10 +115,10 @@ class Requests:
         return Answer(messages[0]["status"], media, b"".join(each.get("body", b"") for each in messages[1:]))
 
 
-def publisher(service: Service, settings: Zenoh, requests: Requests) -> Publisher:
+def publisher(service: Service, settings: Zenoh, requests: Requests) -> ReaderPublisher:
     """The publisher of a service's sensors, whose states are as of the REST API."""
 
     def describe(sensor: Sensor) -> dict[str, Any]:
         return answers.sensor_state(sensor).model_dump(mode="json") | {"release": __version__}
 
-    return Publisher(service, settings, describe, requests)
+    return ReaderPublisher(service, settings, describe, requests)

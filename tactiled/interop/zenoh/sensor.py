@@ -183,7 +183,7 @@ class RemoteSensor:
     def __init__(
         self,
         line: Line,
-        state: messages.State,
+        state: messages.ReportedState,
         geometry: messages.Geometry,
         history: tuple[float, int],
         request: Callable[[Request], Answer],

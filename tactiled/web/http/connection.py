@@ -21,7 +21,7 @@ from tactiled.web.http.body import is_recording
 from tactiled.web.http.connection_limit import Place, Places
 from tactiled.web.http.limits import network
 from tactiled.web.http.protocols import Http, WebSocket, refusal
-from tactiled.web.http.timeouts import BOUNDS, State
+from tactiled.web.http.timeouts import BOUNDS, Phase
 
 LOG = logging.getLogger(__name__)
 FULL = "every connection is taken: come again later"
@@ -55,7 +55,7 @@ class Connection(asyncio.Protocol):
         self._inner: Http | WebSocket = Http(config, server_state, app_state, self._loop)
         self._opened = False  # the inner protocol has its transport
         self.half_closed = False
-        self.state = State.HEAD
+        self.state = Phase.HEAD
         self._bound = BOUNDS[self.state]
         self._received = 0  # bytes in this state
         self._deadline: asyncio.TimerHandle | None = None
@@ -76,7 +76,7 @@ class Connection(asyncio.Protocol):
             self._open(transport)
         else:
             transport.pause_reading()  # until the handshake reads
-            self._enter(State.TLS)
+            self._enter(Phase.TLS)
             self._handshake = self._loop.create_task(self._shake_hands(transport, self._tls))
 
     def connection_lost(self, exc: Exception | None) -> None:
@@ -92,7 +92,7 @@ class Connection(asyncio.Protocol):
     def data_received(self, data: bytes) -> None:
         """Hand bytes on, in pieces if they are many."""
         if not self._opened:
-            if self.state is State.TLS:  # right behind the handshake
+            if self.state is Phase.TLS:  # right behind the handshake
                 self._backlog += data
             return
         if self._backlog or self._turn or self._must_wait() or len(data) > self._bound.piece:
@@ -140,14 +140,14 @@ class Connection(asyncio.Protocol):
             self.transport.close()
             return
         self.half_closed = True
-        self._enter(State.CLOSING)
+        self._enter(Phase.CLOSING)
         if self.transport.can_write_eof():
             self.transport.write_eof()
         self._arrange_reading()
 
     def _open(self, transport: asyncio.Transport) -> None:
         self.transport, self._opened = transport, True
-        self._enter(State.HEAD)
+        self._enter(Phase.HEAD)
         self._inner.connection_made(ProxyTransport(self))
         self._arrange_reading()
 
@@ -160,8 +160,8 @@ class Connection(asyncio.Protocol):
                 self,
                 context,
                 server_side=True,
-                ssl_handshake_timeout=BOUNDS[State.TLS].seconds,
-                ssl_shutdown_timeout=BOUNDS[State.CLOSING].seconds,
+                ssl_handshake_timeout=BOUNDS[Phase.TLS].seconds,
+                ssl_shutdown_timeout=BOUNDS[Phase.CLOSING].seconds,
             )
         except (OSError, asyncio.CancelledError):
             raw.abort()
@@ -179,22 +179,22 @@ class Connection(asyncio.Protocol):
             self.transport.write(refusal(503, FULL))
         self.transport.close()
 
-    def _find_state(self) -> State:
+    def _find_state(self) -> Phase:
         inner = self._inner
         if self.half_closed:
-            return State.CLOSING
+            return Phase.CLOSING
         if isinstance(inner, WebSocket):
             if not inner.handshake_complete:
-                return State.UPGRADING
-            return State.CLOSING if inner.close_sent else State.STREAMING
+                return Phase.UPGRADING
+            return Phase.CLOSING if inner.close_sent else Phase.STREAMING
         theirs = inner.conn.their_state
         if theirs is h11.IDLE:
-            return State.HEAD if self.state is State.HEAD else State.IDLE
+            return Phase.HEAD if self.state is Phase.HEAD else Phase.IDLE
         if theirs is not h11.SEND_BODY:
-            return State.ANSWERING
-        return State.UPLOAD if is_recording(cast(Scope, inner.scope)) else State.BODY
+            return Phase.ANSWERING
+        return Phase.UPLOAD if is_recording(cast(Scope, inner.scope)) else Phase.BODY
 
-    def _enter(self, state: State) -> None:
+    def _enter(self, state: Phase) -> None:
         self.state, self._bound, self._received = state, BOUNDS[state], 0
         if self._deadline is not None:
             self._deadline.cancel()
@@ -203,7 +203,7 @@ class Connection(asyncio.Protocol):
 
     def _expire(self) -> None:
         """End a connection whose state has lasted too long; between two requests the last answer is still sent."""
-        if self.state is State.IDLE:
+        if self.state is Phase.IDLE:
             self.transport.close()
         else:
             self.transport.abort()
@@ -211,14 +211,14 @@ class Connection(asyncio.Protocol):
     def _take(self, piece: bytes) -> None:
         """Hand one piece on, and take note of what it cost."""
         began = perf_counter()
-        if self.state is State.IDLE:
-            self._enter(State.HEAD)
+        if self.state is Phase.IDLE:
+            self._enter(Phase.HEAD)
         bound = self._bound
         self._received += len(piece)
         if bound.bytes is not None and self._received > bound.bytes:
             self.transport.abort()
             return
-        unused = self.state is State.CLOSING and self._received > timeouts.MAX_CLOSING_PARSED
+        unused = self.state is Phase.CLOSING and self._received > timeouts.MAX_CLOSING_PARSED
         if not (self.half_closed or unused):
             try:
                 self._inner.data_received(piece)
@@ -239,7 +239,7 @@ class Connection(asyncio.Protocol):
 
     def _arrange_reading(self) -> None:
         """Read on, or have the next piece's turn come; cut off who sends much behind a request that waits."""
-        if self.state is State.ANSWERING and len(self._backlog) > timeouts.MAX_HEAD:
+        if self.state is Phase.ANSWERING and len(self._backlog) > timeouts.MAX_HEAD:
             self.transport.abort()
         if not self._opened or self.transport.is_closing():
             self._backlog.clear()
@@ -295,7 +295,7 @@ class ProxyTransport(asyncio.Transport):
         """Send bytes; those of an HTTP answer may have been its last."""
         if not self.is_closing():
             self._connection.transport.write(data)
-            if self._connection.state is not State.STREAMING:
+            if self._connection.state is not Phase.STREAMING:
                 self._loop.call_soon(self.update)
 
     def writelines(self, list_of_data: Iterable[Any]) -> None:

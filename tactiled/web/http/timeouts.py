@@ -6,7 +6,7 @@ from enum import Enum, auto
 KIB, MIB = 1 << 10, 1 << 20
 
 
-class State(Enum):
+class Phase(Enum):
     """What a connection does now."""
 
     TLS = auto()  # the handshake
@@ -32,15 +32,15 @@ class Bound:
 
 
 BOUNDS = {
-    State.TLS: Bound(10.0, None, evictable=True),  # bytes: OpenSSL's own bound on a handshake
-    State.HEAD: Bound(10.0, 80 * KIB, evictable=True),  # h11 answers 431 to more than MAX_HEAD
-    State.BODY: Bound(62.0, 80 * MIB),  # `Body` answers 408 after 60 s, and 413 by route; h11 bounds trailers
-    State.UPLOAD: Bound(602.0, 1280 * MIB),  # `Body`: 408 after 600 s, 413 above 1 GiB
-    State.ANSWERING: Bound(None, None),  # time: the resource's, and UNREAD_S; nothing is read meanwhile
-    State.IDLE: Bound(5.0, 0, evictable=True),
-    State.UPGRADING: Bound(10.0, 64 * KIB),
-    State.STREAMING: Bound(None, None, piece=KIB, share=0.1),  # time: pings; bytes: MAX_MESSAGE a message
-    State.CLOSING: Bound(2.0, MIB, piece=KIB, share=0.1, evictable=True),
+    Phase.TLS: Bound(10.0, None, evictable=True),  # bytes: OpenSSL's own bound on a handshake
+    Phase.HEAD: Bound(10.0, 80 * KIB, evictable=True),  # h11 answers 431 to more than MAX_HEAD
+    Phase.BODY: Bound(62.0, 80 * MIB),  # `Body` answers 408 after 60 s, and 413 by route; h11 bounds trailers
+    Phase.UPLOAD: Bound(602.0, 1280 * MIB),  # `Body`: 408 after 600 s, 413 above 1 GiB
+    Phase.ANSWERING: Bound(None, None),  # time: the resource's, and UNREAD_S; nothing is read meanwhile
+    Phase.IDLE: Bound(5.0, 0, evictable=True),
+    Phase.UPGRADING: Bound(10.0, 64 * KIB),
+    Phase.STREAMING: Bound(None, None, piece=KIB, share=0.1),  # time: pings; bytes: MAX_MESSAGE a message
+    Phase.CLOSING: Bound(2.0, MIB, piece=KIB, share=0.1, evictable=True),
 }
 MAX_HEAD = 64 * KIB  # bytes of a head, of a chunk's header, of trailers: each is held until it is complete
 MAX_CLOSING_PARSED = 16 * KIB  # bytes searched for the answer to a close frame, before the rest is thrown away

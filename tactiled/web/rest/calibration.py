@@ -146,7 +146,7 @@ class CalibrationSession(schemas.Schema):
     sensor: schemas.SensorName
     way: Way
     size_mm: float | None = Field(description="tip_mm or edge_mm of the start", examples=[2.0])
-    state: calibration_session.State = Field(description="collecting frames, fitting them, or fitted")
+    state: calibration_session.SessionState = Field(description="collecting frames, fitting them, or fitted")
     frames: int = Field(examples=[4200])
     seconds: float = Field(description="of frames so far", examples=[42.0])
     seconds_limit: float = Field(examples=[120.0])

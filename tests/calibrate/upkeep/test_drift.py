@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tactiled.calibrate.upkeep.blocks import Blocks, TaxelNoise
-from tactiled.calibrate.upkeep.drift import MAX_RATE, DriftTracker, State, Surroundings, reach_mm
+from tactiled.calibrate.upkeep.drift import MAX_RATE, DriftState, DriftTracker, Surroundings, reach_mm
 from tactiled.calibrate.upkeep.neighbourhood import Neighbourhood
 from tactiled.diagnostics.checks import FrameChecks
 from tactiled.restore.methods import make
@@ -98,10 +98,10 @@ def test_a_foot_that_stands_for_an_hour_does_not_fade_and_its_zero_is_right_when
     load = LOAD * felt * run.gain
     assert np.abs(faded[under] / load[under]).max() < 0.01
     assert np.abs(faded[skirt]).max() < 0.01 * LOAD
-    assert not (run.tracker.state[under] == State.FREE).any()
+    assert not (run.tracker.state[under] == DriftState.FREE).any()
     run.play(300, lambda t: drift * (LEARN_S + HOUR + t) / HOUR)
     assert np.abs(run.error).max() < 0.005
-    assert (run.tracker.state == State.FREE).mean() > 0.99
+    assert (run.tracker.state == DriftState.FREE).mean() > 0.99
 
 
 def test_zeros_follow_an_array_that_warms_up_while_it_is_touched(foot):
@@ -115,7 +115,7 @@ def test_zeros_follow_an_array_that_warms_up_while_it_is_touched(foot):
         assert np.abs(run.error).max() < 0.005
     run.play(300, lambda t: warm(900 + t))
     assert np.abs(run.error).max() < 0.002
-    assert (run.tracker.state == State.FREE).all()
+    assert (run.tracker.state == DriftState.FREE).all()
 
 
 def test_an_array_that_warms_up_too_fast_to_be_followed_is_told_to_be_tared_until_it_is():
@@ -149,7 +149,7 @@ def test_taxels_that_drift_faster_than_the_others_freeze_none_of_them(gradient, 
     run.sensitivity = run.sensitivity * (1 + gradient * across.ravel())
     run.sensitivity[[100, 300]] *= alone
     run.play(800, lambda t: an_hour * t / HOUR)
-    assert (run.tracker.state == State.FREE).all()
+    assert (run.tracker.state == DriftState.FREE).all()
     assert np.abs(np.delete(run.error, [100, 300])).max() < 0.005
 
 
@@ -172,7 +172,7 @@ def test_a_load_that_leaves_no_taxel_free_does_not_fade_in_five_minutes():
     run.play(LEARN_S, lambda t: 0.05 * t / HOUR)
     before = run.error
     run.play(300, lambda t: 0.05 * (LEARN_S + t) / HOUR, felt)
-    assert not (run.tracker.state == State.FREE).any()
+    assert not (run.tracker.state == DriftState.FREE).any()
     under = felt > LOAD / 2
     assert np.abs((run.error - before)[under] / (felt * run.gain)[under]).max() < 0.01
     run.play(300, lambda t: 0.05 * (LEARN_S + 300 + t) / HOUR)
@@ -210,8 +210,8 @@ def test_a_taxel_that_does_not_work_is_no_contact_and_no_voter():
     load = np.zeros(SIDE**2)
     load[:5] = 0.5
     run.play(300, lambda t: 0.05 * t / HOUR, load)
-    assert (run.tracker.state[:5] == State.UNREAD).all()
-    assert (run.tracker.state[5:] == State.FREE).all()
+    assert (run.tracker.state[:5] == DriftState.UNREAD).all()
+    assert (run.tracker.state[5:] == DriftState.FREE).all()
     assert np.abs(run.error[5:]).max() < 0.005
 
 
@@ -233,7 +233,7 @@ def test_a_tare_starts_over():
     assert np.abs(run.tracker.correction).max() > 0.005 * FULL_SCALE
     run.tracker.reset(run.no_load + run.drifted)
     assert not run.tracker.correction.any()
-    assert (run.tracker.state == State.FREE).all()
+    assert (run.tracker.state == DriftState.FREE).all()
 
 
 def test_surroundings_of_a_layout_are_discs_and_of_a_grid_hold_them():

@@ -12,7 +12,7 @@ import pytest
 
 from tactiled.config import Server
 from tactiled.web.http import body, timeouts
-from tactiled.web.http.timeouts import State
+from tactiled.web.http.timeouts import Phase
 from tactiled.web.server import running
 from tests.conftest import BUSY_S, HTTP, ask, pressed, problem, until
 from tests.web.http.raw import bound, npy, plug, read_all, send_raw
@@ -193,7 +193,7 @@ def test_of_all_bodies_together_the_largest_incomplete_one_gives_way(url, monkey
 @pytest.mark.parametrize(("length", "piece"), [("Content-Length: 1000000000", b"z"), (CHUNKED, b"1\r\nz\r\n")])
 @pytest.mark.parametrize("line", [f"POST {TARE}", "GET /api/v1/health", f"POST {RESTORE}"])
 def test_after_a_refusal_no_body_is_accepted(guarded, monkeypatch, line, length, piece):
-    bound(monkeypatch, State.CLOSING, seconds=0.5)
+    bound(monkeypatch, Phase.CLOSING, seconds=0.5)
     with plug(guarded) as end:
         end.sendall(f"{line} HTTP/1.1\r\nHost: {guarded[7:]}\r\n{length}\r\n\r\n".encode())
         answer = end.recv(1 << 16)
@@ -204,7 +204,7 @@ def test_after_a_refusal_no_body_is_accepted(guarded, monkeypatch, line, length,
 
 
 def test_a_client_reads_its_refusal_after_it_sent_the_body(guarded, monkeypatch):
-    bound(monkeypatch, State.CLOSING, bytes=10 << 20, seconds=BUSY_S)
+    bound(monkeypatch, Phase.CLOSING, bytes=10 << 20, seconds=BUSY_S)
     with plug(guarded) as end:
         end.sendall(f"POST {TARE} HTTP/1.1\r\nHost: {guarded[7:]}\r\nContent-Length: 8000000\r\n\r\n".encode())
         time.sleep(0.2)  # in which it is refused

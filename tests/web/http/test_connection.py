@@ -15,7 +15,7 @@ from tactiled.web.http import connection_limit
 from tactiled.web.http.connection import Connection
 from tactiled.web.http.connection_limit import Places
 from tactiled.web.http.protocols import WebSocket
-from tactiled.web.http.timeouts import MAX_FRAGMENTS, MAX_HEAD, State
+from tactiled.web.http.timeouts import MAX_FRAGMENTS, MAX_HEAD, Phase
 from tactiled.web.server import running
 from tests.attack.wire import CLOSE, PING, TEXT, frame
 from tests.conftest import BUSY_S, ask, run_apart
@@ -69,7 +69,7 @@ def test_a_head_without_end_is_refused_and_bytes_of_a_request_before_do_not_coun
 
 def test_an_idle_connection_is_closed_after_its_last_answer_is_sent(exchange, monkeypatch):
     """An abort would throw away the end of an answer for a slow reader."""
-    bound(monkeypatch, State.IDLE, seconds=0.1)
+    bound(monkeypatch, Phase.IDLE, seconds=0.1)
     _, cut, closed = exchange(HEAD + b"\r\n", wait=0.3)
     assert (cut, closed) == (False, True)
 
@@ -87,7 +87,7 @@ def test_blank_lines_are_no_request(exchange, url):
 
 
 def test_a_head_is_not_late_while_the_service_itself_reads_nothing(rig, monkeypatch):
-    bound(monkeypatch, State.HEAD, seconds=2.0)
+    bound(monkeypatch, Phase.HEAD, seconds=2.0)
     rig.stale_after(600)  # an event answers who waits for one
     with running(rig.service) as url, plug(url) as end:
         poll, health = (
@@ -168,21 +168,21 @@ def test_a_client_that_reads_no_answers_is_not_read(url):
 
 HEALTH = b"GET /api/v1/health HTTP/1.1\r\nHost: localhost\r\n\r\n"
 WAITING = {  # what a client sends to come into a state and stay there
-    "head": ({State.HEAD}, HEALTH[:16]),
-    "second head": ({State.HEAD, State.IDLE}, HEALTH[:8]),  # in which uvicorn itself waits for ever
+    "head": ({Phase.HEAD}, HEALTH[:16]),
+    "second head": ({Phase.HEAD, Phase.IDLE}, HEALTH[:8]),  # in which uvicorn itself waits for ever
     "body": (
-        {State.BODY},
+        {Phase.BODY},
         b"PUT /api/v1/sensors/palm/method HTTP/1.1\r\nHost: localhost\r\nContent-Length: 9\r\n\r\n",
     ),
-    "idle": ({State.IDLE}, HEALTH),
-    "closing": ({State.CLOSING}, b"GET /api/v1/nothing HTTP/1.1\r\nHost: x\r\nContent-Length: 9\r\n\r\n"),
+    "idle": ({Phase.IDLE}, HEALTH),
+    "closing": ({Phase.CLOSING}, b"GET /api/v1/nothing HTTP/1.1\r\nHost: x\r\nContent-Length: 9\r\n\r\n"),
 }
 
 
 @pytest.mark.parametrize("name", WAITING)
 def test_every_state_that_waits_for_the_client_ends(rig, monkeypatch, name):
     states, data = WAITING[name]
-    for each in State:
+    for each in Phase:
         bound(monkeypatch, each, seconds=0.3 if each in states else 10 * BUSY_S)
     with running(rig.service) as url, plug(url) as end:
         if name == "second head":

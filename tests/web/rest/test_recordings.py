@@ -16,7 +16,7 @@ from tactiled.config import Server, parse
 from tactiled.live.events import Events
 from tactiled.live.service import Service
 from tactiled.web.http import body
-from tactiled.web.http.timeouts import BOUNDS, State
+from tactiled.web.http.timeouts import BOUNDS, Phase
 from tactiled.web.rest import recordings, uploads
 from tactiled.web.server import running
 from tests.conftest import CONFIG, HTTP, problem, until
@@ -181,11 +181,11 @@ def test_a_file_that_is_uploaded_is_a_recording_or_refused_and_leaves_nothing(ap
 
 
 def test_a_recording_may_be_larger_and_take_longer_than_other_bodies(api, monkeypatch):
-    bound(monkeypatch, State.BODY, bytes=1 << 16)
+    bound(monkeypatch, Phase.BODY, bytes=1 << 16)
     text = b"(1.000000) can0 123#00 R\n" * 10_000
     assert api.client.put(f"{ROOT}/a.log", content=text).status_code == 201
-    assert BOUNDS[State.UPLOAD].seconds > body.RECORDING_TIMEOUT_S
-    assert BOUNDS[State.UPLOAD].bytes > body.MAX_RECORDING_BYTES
+    assert BOUNDS[Phase.UPLOAD].seconds > body.RECORDING_TIMEOUT_S
+    assert BOUNDS[Phase.UPLOAD].bytes > body.MAX_RECORDING_BYTES
 
 
 def test_a_name_is_made_and_a_bus_is_recorded_once_at_a_time(api):

@@ -14,7 +14,7 @@ from websockets.frames import Opcode
 
 from tactiled.web import answers
 from tactiled.web.http import protocols
-from tactiled.web.http.timeouts import State
+from tactiled.web.http.timeouts import Phase
 from tactiled.web.server import running
 from tactiled.web.ws import feed, pacing, session
 from tactiled.web.ws.feed import Feed
@@ -259,7 +259,7 @@ def test_a_client_that_answers_no_ping_is_closed_and_no_other(rig, monkeypatch):
 
 def test_a_client_that_does_not_read_a_large_image_is_dropped_when_it_answers_no_ping(rig, monkeypatch):
     monkeypatch.setattr(session, "PING_S", 0.3)
-    bound(monkeypatch, State.CLOSING, seconds=0.3)
+    bound(monkeypatch, Phase.CLOSING, seconds=0.3)
     monkeypatch.setattr(Feed, "binary", lambda *_: bytes(16 << 20))  # more than any buffer between the two
     rig.show(pressed())
     with running(rig.service) as url, unread(url):
