@@ -15,7 +15,8 @@ from tactiled.cli.app import stoppable
 from tactiled.config import Config, Server, load, validated
 from tactiled.errors import ConfigError
 from tactiled.interop.bridges import configured
-from tactiled.live.sensor import REPLAYED, Sensor
+from tactiled.live.health import REPLAYED
+from tactiled.live.sensor import Sensor
 from tactiled.live.service import Service
 from tactiled.recorded.noise import measure_noise
 from tactiled.web.app import create
@@ -50,14 +51,14 @@ def replaying(settings: Config, file: Path, speed: float) -> Service:
         def ended(line: str, failed: bool) -> None:
             logs.announce(line)
             for each in sensors.values():
-                setattr(each, "down" if failed else "ended", line)
+                setattr(each.health, "down" if failed else "ended", line)
 
         def stepped(line: str) -> None:
             logs.announce(line)
             service.events.add("replay_stepped", line, bus=bus)
 
         for each in sensors.values():
-            each.clock = REPLAYED
+            each.health.clock = REPLAYED
         codecs = {name: each.codec for name, each in sensors.items()}
         plans = [each.plan for each in sensors.values()]
         for name, noise in measure_noise(Recording(file, Router(codecs).ids), codecs, plans).items():

@@ -74,7 +74,7 @@ class BusThread:
 
     def introduce(self, sensor: Sensor) -> None:
         """Give a new sensor the counts of the bus, so that they never fall."""
-        sensor.counts, sensor.errors = lambda: Loss(**self._bus_counts()), self._error_kinds
+        sensor.health.counts, sensor.health.errors = lambda: Loss(**self._bus_counts()), self._error_kinds
 
     def exchange(self, sensors: dict[str, Sensor]) -> None:
         """Read for these sensors from now on; those that stay lose no frame. Called by another thread.
@@ -82,7 +82,7 @@ class BusThread:
         On return its thread has taken them, unless the bus is down or the thread hangs.
         """
         for sensor in sensors.values():
-            sensor.down = self._down
+            sensor.health.down = self._down
         self._exchanged.clear()
         self._next_sensors = sensors
         if self._reader is not None and self._thread.is_alive():
@@ -97,7 +97,10 @@ class BusThread:
         self._router = Router(codecs, self._bus_counts, before)
         self._settings = only(self._bus_settings, self._router.ids)
         for name, sensor in self._sensors.items():
-            sensor.counts, sensor.errors = partial(self._loss, self._router.assemblers[name]), self._error_kinds
+            sensor.health.counts, sensor.health.errors = (
+                partial(self._loss, self._router.assemblers[name]),
+                self._error_kinds,
+            )
 
     def _exchange(self) -> None:
         """Take the sensors that another thread has asked for, between two messages."""
@@ -119,7 +122,7 @@ class BusThread:
         if self._settings.get("can_filters") != filters:
             self._reader.set_filters(self._settings["can_filters"])
         for sensor in sensors.values():
-            sensor.clock = self._reader.clock
+            sensor.health.clock = self._reader.clock
         self._exchanged.set()
 
     def _run(self) -> None:
@@ -132,7 +135,7 @@ class BusThread:
                 self._reader = self._reader or open_bus(**self._settings)
                 self._set_down(None)
                 for sensor in self._sensors.values():
-                    sensor.clock = self._reader.clock
+                    sensor.health.clock = self._reader.clock
                 self._read(self._reader)
             except BusError as error:
                 reason = str(error)
@@ -181,7 +184,7 @@ class BusThread:
     def _restore_offered(self) -> None:
         """Restore the newest frame of every sensor that was offered some, unless its own thread does."""
         for sensor in self._offered.values():
-            sensor.take_turn()
+            sensor.hand_over.take_turn()
         self._offered.clear()
 
     def _bus_counts(self) -> Mapping[str, int]:
@@ -201,7 +204,7 @@ class BusThread:
     def _set_down(self, reason: str | None) -> None:
         self._down = reason
         for sensor in self._sensors.values():
-            sensor.down = reason
+            sensor.health.down = reason
 
     def _close_reader(self) -> None:
         if self._reader is not None:

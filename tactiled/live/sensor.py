@@ -2,11 +2,8 @@
 
 import threading
 import time
-from collections import deque
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
-from math import inf, sqrt
-from typing import Literal
+from collections.abc import Callable
+from math import inf
 
 import numpy as np
 
@@ -16,59 +13,21 @@ from tactiled.calibrate.calibration_file import CalibrationFile
 from tactiled.calibrate.counts.tare import Zero
 from tactiled.contacts.detection import Contact
 from tactiled.errors import LoadedError, NoShearError, NotLiveError, TareStateError
-from tactiled.frames import FrameWarning, Image, Loss, RawFrame
+from tactiled.frames import FrameWarning, Image, RawFrame
 from tactiled.geometry import tiling
 from tactiled.live.contact_tracking import ContactTracking
+from tactiled.live.hand_over import HandOver
+from tactiled.live.health import Health, State, Status
 from tactiled.live.history import History
 from tactiled.live.hub import Hub, Publisher
 from tactiled.live.pipeline import Pipeline
 from tactiled.live.region_monitor import RegionMonitor
 from tactiled.live.timings import Timings
-from tactiled.threads import FRAME_LOCK, join_started, run_on_thread
+from tactiled.threads import FRAME_LOCK, run_on_thread
 
-State = Literal["live", "stale", "silent", "down", "ended"]
-JITTER_PERIODS = 100  # from frame to frame, whose standard deviation is the jitter
 MAX_BUDGET_S = 1e-3  # for restoring a frame, unless it is configured
 BUDGET_SHARE = 0.1  # of the time from frame to frame, the same
 MAX_SHARES = 0.4  # of all sensors of a service together
-REPLAYED = "recording"  # the clock of a sensor whose bus is a recording
-QUICK_S = 5e-3  # of processor time for the frame before, up to which the bus's thread restores the next
-MIN_RATE_WEIGHT = 0.02  # of a new period in the running mean, which else covers 1 s: at most 50 frames
-
-
-@dataclass(frozen=True, slots=True)
-class Status:
-    """How a sensor is doing now."""
-
-    state: State
-    age_s: float | None  # since the last frame came in; None before the first
-    rate_hz: float  # frames a second, over the last second or so; 0 unless live
-    detail: str  # one line for people
-    loss: Loss
-    jitter_s: float | None = None  # standard deviation of the last periods from frame to frame; None unless live
-    skew_s: float | None = None  # from the newest frame's first message to its last; None before the first
-    errors: Mapping[str, int] = field(default_factory=dict)  # error frames of the bus, by kind
-    tared_at: float | None = None  # s, Unix, of the tare that holds; None: not tared
-    position_s: float | None = None  # of the newest frame in a replayed recording; None: on a bus
-
-
-class _Jitter:
-    """Standard deviation of the last JITTER_PERIODS periods (s), by their sums: it costs next to nothing."""
-
-    def __init__(self) -> None:
-        self._periods: deque[float] = deque()
-        self._sum = self._squares = 0.0
-        self.seconds: float | None = None  # None before two periods
-
-    def add(self, period_s: float) -> None:
-        """Take one more."""
-        periods = self._periods
-        periods.append(period_s)
-        oldest = periods.popleft() if len(periods) > JITTER_PERIODS else 0.0
-        self._sum += period_s - oldest
-        self._squares += period_s**2 - oldest**2
-        if (n := len(periods)) > 1:
-            self.seconds = sqrt(max(self._squares - self._sum**2 / n, 0.0) / (n - 1))
 
 
 class Sensor:
@@ -87,30 +46,14 @@ class Sensor:
         self.sends: Publisher[tuple[Image, float]] = Publisher()  # each to a client, and when (s): event loop
         self.history = History(*history, plan.array.frame_shape, plan.cells.shape, plan.shears)
         self.regions = RegionMonitor(lambda: self.plan.cells)
-        self.clock: str | None = None  # that gives the frames' times; None before the bus was first open
-        self.down: str | None = None  # why the bus is not there; the bus's thread sets and clears it
-        self.ended: str | None = None  # how the recording that was replayed ended
-        self.counts: Callable[[], Loss] | None = None  # what its bus has counted by now
-        self.errors: Callable[[], Mapping[str, int]] = dict  # error frames of its bus by now, by kind
+        self.health = Health(clock)
+        self.hand_over = HandOver(self.name, self._restore_in_time)
         self.budget_share = BUDGET_SHARE  # set by the service, from the number of its sensors
-        self.newest: RawFrame | None = None  # in counts; its image may not be made yet
         self.former: tuple[CalibrationFile, ...] = ()  # the newest first; those that were not written
-        self._clock = clock
         self._tracking = ContactTracking(plan.name, self.hub, plan.array, plan.cells, self.deviation)
         self._between_frames = threading.Lock()  # is held while a frame is processed
-        self._wake = threading.Condition()
-        self._waiting: tuple[RawFrame, float] | None = None  # and when it was assembled (s)
-        self._working = self._stopping = False
-        self._turns = 0  # frames that are finished
-        self._took_s = inf  # of processor time, the newest of them; before any, as the first builds its tables
-        self._skipped = 0
-        self._loss = Loss()
         self._warnings: dict[str, FrameWarning] = {}  # by code, since they were last drained
-        self._failure: str | None = None  # why the last frame could not be restored
-        self._arrived_at: float | None = None  # s, by `clock`: the newest frame
-        self._period_s = 0.0  # running mean of the time between two arrivals
-        self._jitter = _Jitter()
-        self._thread = threading.Thread(target=self._work, name=f"restore {self.name}", daemon=True)
+        self._warnings_lock = threading.Lock()
 
     @property
     def method(self) -> str:
@@ -118,16 +61,21 @@ class Sensor:
         return self.pipeline.method
 
     @property
-    def turns(self) -> int | None:
-        """Frames that are finished; None while there is none to restore."""
-        return self._turns if self._working or self._waiting is not None else None
+    def clock(self) -> str | None:
+        """That gives the frames' times; None before the bus was first open."""
+        return self.health.clock
+
+    @property
+    def newest(self) -> RawFrame | None:
+        """The newest frame in counts; its image may not be made yet."""
+        return self.health.newest
 
     @property
     def references(self) -> list[float | None] | None:
         """Counts of the newest frame's pads that feel no pressure, None of a missing one; None: it has none."""
-        if self.newest is None or self.newest.references is None:
+        if (frame := self.newest) is None or frame.references is None:
             return None
-        return [None if np.isnan(each) else float(each) for each in self.newest.references]
+        return [None if np.isnan(each) else float(each) for each in frame.references]
 
     @property
     def areas_mm2(self) -> tuple[float, ...] | None:
@@ -200,47 +148,28 @@ class Sensor:
 
     def drain_warnings(self) -> dict[str, FrameWarning]:
         """The newest warning of each code in the images since the last call."""
-        with self._wake:
+        with self._warnings_lock:
             warnings, self._warnings = self._warnings, {}
         return warnings
 
     def start(self) -> None:
         """Start restoring."""
-        self._thread.start()
+        self.hand_over.start()
         self._tracking.start()
 
     def stop(self) -> None:
         """Stop restoring; returns when its threads have ended."""
-        with self._wake:
-            self._stopping = True
-            self._wake.notify()
-        join_started(self._thread)
+        self.hand_over.stop()
         self._tracking.stop()
 
     def offer(self, frame: RawFrame, wake: bool = True) -> None:
-        """Take a new frame; one that still waits for its turn is skipped and counted.
-
-        Its own thread restores it. Without `wake` that thread begins only if frames take long; else the caller
-        restores it by `take_turn`.
-        """
-        assembled = self._note_arrival(frame)
-        with self._wake:
-            self._skipped += self._waiting is not None
-            if self._skipped:
-                frame = replace(frame, loss=replace(frame.loss, skipped=self._skipped))
-            self._waiting, self._loss = (frame, assembled), frame.loss
-            if wake or self._took_s > QUICK_S:
-                self._wake.notify()
-
-    def take_turn(self) -> None:
-        """Restore the frame that waits on the caller's thread, to save a hand-over, unless frames take long."""
-        if self._took_s <= QUICK_S:
-            self._restore_waiting()
+        """Take a new frame; its own thread restores it, or without `wake` the caller, by `hand_over.take_turn`."""
+        self.hand_over.offer(frame, self._note_arrival(frame), wake)
 
     def restore(self, frame: RawFrame) -> None:
         """Restore a frame at once, on the caller's thread, so that none is skipped: for recordings."""
         now = self._note_arrival(frame)
-        self._loss = frame.loss
+        self.hand_over.loss = frame.loss
         self._publish(frame, inf, (now, now))
 
     def note_send(self, image: Image) -> None:
@@ -251,59 +180,21 @@ class Sensor:
 
     def _note_arrival(self, frame: RawFrame) -> float:
         """A frame comes now: the time (s)."""
-        last, self.newest = self.newest, frame
-        if last is None or not 0 <= frame.time - last.time < self.plan.stale_after_s:
-            self._jitter = _Jitter()
-        elif frame.sequence == last.sequence + 1:
-            self._jitter.add(frame.time - last.time)
-        now = self._clock()
-        if self._arrived_at is not None:
-            gap = now - self._arrived_at
-            if gap > self.plan.stale_after_s:
-                self.pipeline.lapse_tare()
-                self._period_s = 0.0  # a break is no period
-            else:
-                weight = min(1.0, max(gap, MIN_RATE_WEIGHT)) if self._period_s else 1.0
-                self._period_s += (gap - self._period_s) * weight
-        self._arrived_at = now
+        now, after_break = self.health.note_arrival(frame, self.plan.stale_after_s)
+        if after_break:
+            self.pipeline.lapse_tare()
         self.frames.publish(frame)
         return now
 
-    def _work(self) -> None:
-        while True:
-            with self._wake:
-                self._wake.wait_for(lambda: self._stopping or (self._waiting is not None and not self._working))
-                if self._stopping:
-                    return
-            self._restore_waiting()
-
-    def _begin_turn(self) -> tuple[RawFrame, float] | None:
-        """The frame that waits; None where there is none, or a thread is at the one before."""
-        with self._wake:
-            if self._waiting is None or self._working:
-                return None
-            waiting, self._waiting, self._working = self._waiting, None, True
-            return waiting
-
-    def _restore_waiting(self) -> None:
-        """Restore the frame that waits, if it is its turn."""
-        if (waiting := self._begin_turn()) is None:
-            return
-        frame, assembled = waiting
-        began = time.thread_time()
+    def _restore_in_time(self, frame: RawFrame, assembled: float) -> None:
         self._publish(frame, self._budget_s(), (frame.arrived, assembled))
-        self._took_s = time.thread_time() - began
-        self._turns += 1
-        with self._wake:
-            self._working = False
-            if self._waiting is not None:
-                self._wake.notify()
 
     def _budget_s(self) -> float:
         """Time for restoring a frame."""
         if self.plan.budget_s is not None:
             return self.plan.budget_s
-        return min(self.budget_share * self._period_s, MAX_BUDGET_S) if self._period_s else MAX_BUDGET_S
+        period_s = self.health.period_s
+        return min(self.budget_share * period_s, MAX_BUDGET_S) if period_s else MAX_BUDGET_S
 
     def _publish(self, frame: RawFrame, budget_s: float, came: tuple[float, float]) -> None:
         """Publish one image; a frame that cannot be restored ends neither the thread nor the service.
@@ -318,51 +209,18 @@ class Sensor:
             self.timings.add(image, time.monotonic())
             self.history.add(image)
             if image.warnings:
-                with self._wake:
+                with self._warnings_lock:
                     self._warnings.update((each.code, each) for each in image.warnings)
-            self._failure = None
+            self.health.failure = None
         except Exception as error:
-            self._failure = f"restoration failed: {type(error).__name__}: {error}"
+            self.health.failure = f"restoration failed: {type(error).__name__}: {error}"
 
     def status(self) -> Status:
         """Health at this moment."""
-        age = self._age()
-        state, detail = self._judge(age)
-        live = state == "live"
-        return Status(
-            state=state,
-            age_s=age,
-            rate_hz=1 / self._period_s if live and self._period_s else 0.0,
-            detail=detail,
-            loss=replace(self.counts(), skipped=self._skipped) if self.counts else self._loss,
-            jitter_s=self._jitter.seconds if live else None,
-            skew_s=self.newest.skew if self.newest else None,
-            errors=self.errors(),
-            tared_at=self.pipeline.zero.time,
-            position_s=self._position(),
-        )
+        waits = self.hand_over
+        return self.health.status(self.plan, waits.loss, waits.skipped, self.pipeline.zero.time)
 
     @property
     def state(self) -> State:
         """State of `status`, at less cost."""
-        return self._judge(self._age())[0]
-
-    def _position(self) -> float | None:
-        if self.clock != REPLAYED:
-            return None
-        return self.newest.arrived if self.newest else 0.0
-
-    def _age(self) -> float | None:
-        return None if self._arrived_at is None else max(0.0, self._clock() - self._arrived_at)
-
-    def _judge(self, age: float | None) -> tuple[State, str]:
-        """State and detail: the first condition that holds."""
-        if self.down is not None:
-            return "down", self.down
-        if self.ended is not None:
-            return "ended", self.ended
-        if age is None:
-            return "silent", f"no frame yet on {self.plan.bus}"
-        if age > self.plan.stale_after_s:
-            return "stale", f"no frame for {age:.1f} s"
-        return ("stale", self._failure) if self._failure else ("live", "")
+        return self.health.judge(self.plan)[0]

@@ -259,7 +259,7 @@ class Service:
     def turns(self) -> dict[str, int | None]:
         """Turns by now of every thread that must move, by its name; None for one that waits for work."""
         buses = {f"bus {each.name}": each.turns for each in self._sources.values() if isinstance(each, BusThread)}
-        sensors = {f"restore {name}": each.turns for name, each in self.sensors.items()}
+        sensors = {f"restore {name}": each.hand_over.turns for name, each in self.sensors.items()}
         return {**buses, **sensors, "watch": self._watch.turns}
 
     def stop(self) -> None:
@@ -331,7 +331,7 @@ class Service:
         self._sources = {name: (kept | opened)[name] for name in buses}
         before = self.sensors
         for name in outcome.sensors.ending:
-            before[name].down = "restarts" if name in sensors else "is no longer in the configuration"
+            before[name].health.down = "restarts" if name in sensors else "is no longer in the configuration"
         for name in outcome.sensors.beginning:
             if bus := kept.get(sensors[name].plan.bus):
                 bus.introduce(sensors[name])

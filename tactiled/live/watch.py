@@ -8,7 +8,8 @@ from tactiled.calibrate.upkeep.health import RULES, Change, Fault
 from tactiled.contacts.regions import measure_units
 from tactiled.frames import FrameWarning
 from tactiled.live.events import Events, Faults, Kind
-from tactiled.live.sensor import Sensor, State
+from tactiled.live.health import State
+from tactiled.live.sensor import Sensor
 from tactiled.threads import join_started
 
 LOOK_EVERY_S = 0.1
@@ -93,7 +94,9 @@ class Watch:
             self._events.add("warning_cleared", f"no longer: {warning.text}", key[0], warning=warning)
 
     def _look_at_bus(self, bus: str) -> None:
-        down = next((each.down for each in self._watched if each.plan.bus == bus and each.down), None)
+        down = next(
+            (each.health.down for each in self._watched if each.plan.bus == bus and each.health.down), None
+        )
         if self._changed("bus", bus, down, None):
             if down:
                 self._events.add("bus_down", down, bus=bus)

@@ -15,7 +15,8 @@ from tactiled.calibrate.upkeep.health import RULES, Fault
 from tactiled.contacts.detection import Contact
 from tactiled.cover.summary import summarise
 from tactiled.frames import Image
-from tactiled.live.sensor import Sensor, Status
+from tactiled.live.health import Status
+from tactiled.live.sensor import Sensor
 from tactiled.restore.methods import METHODS, OLD_NAMES
 from tactiled.units import FORCE_UNITS, Unit, if_calibrated
 from tactiled.web import calibration_schemas, schemas

@@ -26,7 +26,7 @@ def images(path, speed=0.0):
     got = []
     sensor.hub.subscribe(got.append)
     with service.running():
-        until(lambda: sensor.ended or sensor.down)
+        until(lambda: sensor.health.ended or sensor.health.down)
     return got, sensor
 
 
@@ -104,7 +104,7 @@ def test_a_step_of_the_recordings_clock_is_an_event_and_a_short_pause(tmp_path, 
     service, began = replaying(parse(CONFIG), stepping(tmp_path / "a.log", step), 1.0), clock.now
     (sensor,) = service.sensors.values()
     with service.running():
-        until(lambda: sensor.ended)
+        until(lambda: sensor.health.ended)
     assert [each.text for each in service.events.after(0) if each.kind == "replay_stepped"] == [event]
     assert clock.now - began == pytest.approx(0.18 + wait)
     assert sensor.hub.latest().loss.late == 0

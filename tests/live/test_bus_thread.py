@@ -84,7 +84,7 @@ def test_of_frames_of_one_sensor_that_come_together_only_the_newest_is_restored(
         line.send(sequence)
     monkeypatch.setattr(line.bus, "batch", lambda *_: (Batch.of(line.bus.messages), line.bus.messages.clear())[0])
     monkeypatch.setattr(OPEN_BUS, line.bus.open)
-    line.sensor._took_s = 0.0
+    line.sensor.hand_over._took_s = 0.0
     line.listener.start()
     line.until_image(3)
     line.listener.stop()
@@ -104,7 +104,7 @@ def test_frames_that_fill_every_batch_are_restored_while_more_come(plan, monkeyp
     monkeypatch.setattr("tactiled.live.bus_thread.MAX_FRAMES", plan.codec.segments + malformed)
     monkeypatch.setattr(line.bus, "batch", batch)
     monkeypatch.setattr(OPEN_BUS, line.bus.open)
-    line.sensor._took_s = 0.0
+    line.sensor.hand_over._took_s = 0.0
     line.listener.start()
     try:
         until(line.sensor.hub.latest)
@@ -121,7 +121,7 @@ def test_a_bus_that_goes_away_is_opened_again_when_it_is_back(line):
     assert line.sensor.status().detail == "bus adapter: no such device"
     assert line.sensor.hub.latest().sequence == 0  # still served, but not as live
     line.bus.plugged = True
-    until(lambda: line.sensor.down is None)
+    until(lambda: line.sensor.health.down is None)
     line.send(1)
     line.until_image(1)
     assert (line.bus.opened, line.bus.closed) == (2, 1)
@@ -135,7 +135,7 @@ def test_a_fault_of_the_service_is_the_detail_of_the_bus_which_goes_on(line, mon
     assert line.sensor.status().detail == "bus can0: the service failed at it: KeyError: 'byte 7'"
     assert "KeyError" in caplog.text
     line.bus.messages.clear()
-    until(lambda: line.sensor.down is None)
+    until(lambda: line.sensor.health.down is None)
     line.send(1)
     until(line.sensor.hub.latest)
 

@@ -44,13 +44,13 @@ def test_changes_of_sensor_and_bus_are_one_event_each(watched):
     assert watched.look() == [("sensor_stale", "palm", "no frame for 0.6 s"), silent]
     watched.now += 0.1
     assert watched.look() == []
-    watched.sensor.down = "unplugged"
+    watched.sensor.health.down = "unplugged"
     assert watched.look() == [("bus_down", "can0", "unplugged"), ("sensor_down", "palm", "unplugged")]
     assert watched.look() == []
-    watched.sensor.down = None
+    watched.sensor.health.down = None
     watched.sensor.restore(frame(1))
     assert watched.look() == [("bus_up", "can0", "is there again"), ("sensor_live", "palm", "frames come")]
-    watched.sensor.ended = "a.log has ended"
+    watched.sensor.health.ended = "a.log has ended"
     assert watched.look() == [("sensor_ended", "palm", "a.log has ended")]
 
 
@@ -73,10 +73,10 @@ def test_a_sensor_of_which_no_frame_has_come_is_an_event_once_its_patience_is_ov
 
 def test_a_sensor_that_a_bus_brings_back_without_frames_is_silent_after_its_patience(watched):
     watched.thumb.restore(frame())
-    watched.sensor.down = "unplugged"
+    watched.sensor.health.down = "unplugged"
     watched.look()
     watched.now += 10
-    watched.sensor.down = None
+    watched.sensor.health.down = None
     assert [each for each in watched.look() if each[1] == "palm"] == []
     watched.now += 1
     assert ("sensor_silent", "palm", "no frame yet on can0") in watched.look()

@@ -100,7 +100,7 @@ def test_only_what_changed_restarts_and_the_rest_keeps_all(live):
     assert live.service.sensors["palm"] is palm
     assert (palm.pipeline, palm.pipeline.zero, palm.method, palm.history) == kept
     assert thumb.status().detail == "is no longer in the configuration"
-    assert not thumb._thread.is_alive()
+    assert not thumb.hand_over._thread.is_alive()
     live.write(palm=1)
     live.service.reload()
     assert (list(live.service.sensors), list(live.service.buses)) == (["palm"], ["can0"])

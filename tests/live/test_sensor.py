@@ -28,7 +28,7 @@ def test_status_is_silent_then_live_then_stale_and_down_while_the_bus_is(plan):
         timed.now += 0.01
         sensor.offer(frame(n))
     assert sensor.status().rate_hz == pytest.approx(100)  # a break is no period
-    sensor.down = "bus can0: gone"
+    sensor.health.down = "bus can0: gone"
     assert (sensor.status().state, sensor.status().detail) == ("down", "bus can0: gone")
 
 
@@ -66,15 +66,15 @@ def test_frames_but_the_first_are_restored_on_the_bus_s_thread_unless_they_take_
 
     def take(sequence):
         sensor.offer(frame(sequence), wake=False)
-        sensor.take_turn()
-        until(lambda: sensor.turns is None)
+        sensor.hand_over.take_turn()
+        until(lambda: sensor.hand_over.turns is None)
         assert sensor.hub.latest().sequence == sequence
         return threads.pop() == get_ident()
 
     sensor.start()
     assert [take(0), take(1), take(2)] == [False, True, True]
     with monkeypatch.context() as slow:
-        slow.setattr("tactiled.live.sensor.QUICK_S", 0.0)
+        slow.setattr("tactiled.live.hand_over.QUICK_S", 0.0)
         assert not take(3)
     assert take(4)
     sensor.stop()
@@ -86,9 +86,9 @@ def test_a_frame_that_comes_while_the_sensor_s_own_thread_restores_is_left_to_it
     sensor.start()
     sensor.offer(frame(0))
     assert begun.wait(BUSY_S)
-    sensor._took_s = 0.0
+    sensor.hand_over._took_s = 0.0
     sensor.offer(frame(1), wake=False)
-    sensor.take_turn()
+    sensor.hand_over.take_turn()
     assert sensor.hub.latest() is None
     go_on.set()
     until(lambda: (image := sensor.hub.latest()) and image.sequence == 1)
@@ -140,7 +140,7 @@ def test_more_than_four_sensors_of_a_service_share_the_time_for_restoring():
     for count, budget_s in ((1, 1e-3), (4, 1e-3), (8, 0.5e-3)):
         for sensor in Service(configuration(count)).sensors.values():
             clock = Clock()
-            sensor._clock = clock.monotonic
+            sensor.health._clock = clock.monotonic
             for n in range(400):
                 clock.now += 0.01
                 sensor._note_arrival(frame(n))

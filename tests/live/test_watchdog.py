@@ -40,7 +40,7 @@ def test_a_silent_bus_is_well_and_ready_is_sent_once(rig, look):
 @pytest.mark.parametrize("threads", [("bus can0",), ("restore palm",), ("bus can0", "restore palm"), ("watch",)])
 def test_a_thread_that_hangs_is_named_and_starves_the_watchdog_until_it_moves(rig, look, caplog, threads):
     hangs, free = threading.Event(), threading.Event()
-    rig.sensor._took_s = 0.0 if len(threads) == 2 else 1.0  # s: which of them restores
+    rig.sensor.hand_over._took_s = 0.0 if len(threads) == 2 else 1.0  # s: which of them restores
     owner, name = {
         "bus can0": (rig.service._sources["can0"]._router, "flush"),
         "restore palm": (rig.sensor.pipeline, "process"),

@@ -97,7 +97,7 @@ def test_an_unplugged_adapter_is_reported_and_used_again_when_it_is_back(service
     show("twin", 300)  # the other bus, with the same ids, is not concerned
     assert service.sensor("twin").status().loss.foreign == 0
     adapter(True)
-    until(lambda: palm.down is None)
+    until(lambda: palm.health.down is None)
     again = show("palm", 200)  # its sequence numbers start again
     assert palm.status().state == "live"
     assert again.sequence > first.sequence

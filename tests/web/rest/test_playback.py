@@ -70,7 +70,7 @@ def replayed(path):
     sensor = service.sensor("palm")
     sensor.hub.subscribe(got.append)
     with service.running():
-        until(lambda: sensor.ended)
+        until(lambda: sensor.health.ended)
     return got
 
 

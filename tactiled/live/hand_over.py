@@ -1,0 +1,88 @@
+"""From the thread of a bus to the one that restores: the newest frame waits, no other."""
+
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from math import inf
+
+from tactiled.frames import Loss, RawFrame
+from tactiled.threads import join_started
+
+QUICK_S = 5e-3  # of processor time for the frame before, up to which the bus's thread restores the next
+
+
+class HandOver:
+    """Restores the newest frame on its own thread, or on the caller's where frames take little time."""
+
+    def __init__(self, name: str, restore: Callable[[RawFrame, float], None]) -> None:
+        """`restore` gets a frame and when it was assembled (s)."""
+        self._restore = restore
+        self._wake = threading.Condition()
+        self._waiting: tuple[RawFrame, float] | None = None  # and when it was assembled (s)
+        self._working = self._stopping = False
+        self._finished = 0  # frames
+        self._took_s = inf  # of processor time, the newest of them; before any, as the first builds its tables
+        self.skipped = 0  # frames
+        self.loss = Loss()  # of the newest frame
+        self._thread = threading.Thread(target=self._work, name=f"restore {name}", daemon=True)
+
+    @property
+    def turns(self) -> int | None:
+        """Frames that are finished; None while there is none to restore."""
+        return self._finished if self._working or self._waiting is not None else None
+
+    def start(self) -> None:
+        """Start restoring."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Stop restoring; returns when the thread has ended."""
+        with self._wake:
+            self._stopping = True
+            self._wake.notify()
+        join_started(self._thread)
+
+    def offer(self, frame: RawFrame, assembled: float, wake: bool) -> None:
+        """Let a frame wait; one that still waits is skipped. Without `wake` the caller takes the turn."""
+        with self._wake:
+            self.skipped += self._waiting is not None
+            if self.skipped:
+                frame = replace(frame, loss=replace(frame.loss, skipped=self.skipped))
+            self._waiting, self.loss = (frame, assembled), frame.loss
+            if wake or self._took_s > QUICK_S:
+                self._wake.notify()
+
+    def take_turn(self) -> None:
+        """Restore the frame that waits on the caller's thread, to save a hand-over, unless frames take long."""
+        if self._took_s <= QUICK_S:
+            self._restore_waiting()
+
+    def _work(self) -> None:
+        while True:
+            with self._wake:
+                self._wake.wait_for(lambda: self._stopping or (self._waiting is not None and not self._working))
+                if self._stopping:
+                    return
+            self._restore_waiting()
+
+    def _begin_turn(self) -> tuple[RawFrame, float] | None:
+        """The frame that waits; None where there is none, or a thread is at the one before."""
+        with self._wake:
+            if self._working or (waiting := self._waiting) is None:
+                return None
+            self._waiting, self._working = None, True
+            return waiting
+
+    def _restore_waiting(self) -> None:
+        """Restore the frame that waits, if it is its turn."""
+        if (waiting := self._begin_turn()) is None:
+            return
+        began = time.thread_time()
+        self._restore(*waiting)
+        self._took_s = time.thread_time() - began
+        self._finished += 1
+        with self._wake:
+            self._working = False
+            if self._waiting is not None:
+                self._wake.notify()
