@@ -101,7 +101,8 @@ def below_zero(pressure: NDArray[np.floating], noise: float, highest: float) -> 
     if not reads_below(lowest, noise):
         return nothing
     known = pressure[np.isfinite(pressure)]
-    level = min(float(np.median(known)), 0.0)
+    at_zero = np.count_nonzero(np.abs(known) < ZERO_SIGMAS * noise)  # a load may have lain on most of the taxels
+    level = 0.0 if at_zero >= UNPRESSED_FRACTION * known.size else min(float(np.median(known)), 0.0)
     if not (off := level - known[known < level]).size:
         return nothing
     scatter = QUARTILE_TO_SIGMA * float(np.quantile(off, 0.25))

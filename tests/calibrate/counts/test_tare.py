@@ -188,5 +188,10 @@ def test_what_a_load_under_a_tare_leaves_is_far_below_zero():
     below = below_zero(pressure.astype(np.float32), 0.4, 80.0)
     assert below[4:11, 4:10].all()
     assert np.count_nonzero(below) < 42 + 12
+    most = np.random.default_rng(9).normal(0, 0.4, (16, 16))
+    most[:, 5:] -= 20 * np.sin(np.linspace(0, np.pi, 11)) * np.sin(np.linspace(0, np.pi, 16))[:, None]
+    below = below_zero(most.astype(np.float32), 0.4, 0.0)
+    assert below[4:12, 7:14].all()
+    assert not below[:, :5].any()
     for reading in (np.nan, -50.0):  # of all taxels
         assert not below_zero(np.full((16, 16), reading, np.float32), 0.4, 0.0).any()
