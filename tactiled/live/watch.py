@@ -114,7 +114,7 @@ class Watch:
         else:
             self._silent_since.pop(sensor.name, None)
         if self._changed("state", sensor.name, None if patient else status.state, None) and not patient:
-            self._events.add(STATE_EVENTS[status.state], status.detail or "frames come", sensor.name)
+            self._events.add(STATE_EVENTS[status.state], status.detail or "receiving frames", sensor.name)
 
     def _look_at_warnings(self, sensor: Sensor, now: float) -> None:
         for code, warning in sensor.drain_warnings().items():

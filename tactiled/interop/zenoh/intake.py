@@ -293,7 +293,7 @@ class Intake:
             if robot is None or time.monotonic() - line.down_at < LINK_S:
                 continue
             if line.state != status.state:
-                self._add_event(robot, STATE_EVENTS[status.state], status.detail or "frames come", name)
+                self._add_event(robot, STATE_EVENTS[status.state], status.detail or "receiving frames", name)
             offset = line.offset
             skewed = offset.offset_s is not None and abs(offset.offset_s) - offset.error_s > MAX_SKEW_S
             if skewed and not line.clock_skewed:

@@ -20,6 +20,9 @@ export function inkOn(rgba) {
   return luminance > MIDDLE_LUMINANCE ? "#000" : "#fff";
 }
 
+/** @param {number} value @returns {string} with less to read where there is nothing */
+const valueText = (value) => (value === 0 ? "0" : number(value));
+
 export class CellValues {
   /** @param {HTMLCanvasElement} map that it stands over */
   constructor(map) {
@@ -30,23 +33,28 @@ export class CellValues {
     this._pen = context2d(this.canvas);
     this._ratio = 1;
     this._zoom = 0;
-    this._empty = true;
+    /** What stands in each cell, and in which ink. @type {string[]} */
+    this._texts = [];
   }
 
   /** @param {Plane} plane @param {number} zoom CSS px per mm */
   resize(plane, zoom) {
     this._zoom = zoom;
     this._ratio = fitCanvas(this.canvas, plane.width * zoom, plane.height * zoom);
+    this._pen.font = `${TEXT_PX * this._ratio}px ${getComputedStyle(document.body).fontFamily}`;
+    this._pen.textAlign = "center";
+    this._pen.textBaseline = "middle";
     this.clear();
   }
 
   /** Show nothing. */
   clear() {
-    if (!this._empty) this._pen.clearRect(0, 0, this.canvas.width, this.canvas.height);
-    this._empty = true;
+    if (this._texts.length) this._pen.clearRect(0, 0, this.canvas.width, this.canvas.height);
+    this._texts = [];
   }
 
   /**
+   * Write what differs from what stands there.
    * @param {Float32Array} values
    * @param {Plane} plane
    * @param {Cells} cells
@@ -55,24 +63,23 @@ export class CellValues {
    * @param {Overlay} [marks] of the map: a cell under one of its labels has no value
    */
   draw(values, plane, cells, range, colormap, marks) {
-    this.clear();
     if (cells.side * this._zoom < MIN_CELL_PX) return;
     const draw = this._pen;
     const px = this._zoom * this._ratio;
     const most = TEXT_SHARE * cells.side * px;
-    draw.font = `${TEXT_PX * this._ratio}px ${getComputedStyle(document.body).fontFamily}`;
-    draw.textAlign = "center";
-    draw.textBaseline = "middle";
+    const high = TEXT_PX * this._ratio;
     for (let i = 0; i < cells.count; i += 1) {
-      if (Number.isNaN(values[i])) continue;
-      const text = number(values[i]);
+      const value = values[i];
       const x = (cells.x[i] - plane.left) * px;
       const y = (cells.y[i] - plane.top + BELOW_SHARE * cells.side) * px;
-      const width = Math.min(most, draw.measureText(text).width);
-      if (marks?.isLabelled(x, y, width / 2, (TEXT_PX / 2) * this._ratio)) continue;
-      draw.fillStyle = inkOn(colormap.rgba[colormap.index(values[i], range)]);
+      const isFree = !Number.isNaN(value) && !marks?.isLabelled(x, y, most / 2, high / 2);
+      const text = isFree ? valueText(value) : "";
+      const ink = isFree ? inkOn(colormap.rgba[colormap.index(value, range)]) : "";
+      if (this._texts[i] === ink + text) continue;
+      this._texts[i] = ink + text;
+      draw.clearRect(x - most / 2, y - high, most, 2 * high);
+      draw.fillStyle = ink;
       draw.fillText(text, x, y, most);
     }
-    this._empty = false;
   }
 }

@@ -9,7 +9,7 @@ import { labelledTicks } from "../charts/ticks.js";
 export const AXIS_LEFT_PX = 30; // CSS px beside a map; style.css has the same,
 export const AXIS_BOTTOM_PX = 20; // and below it
 const [TICK_PX, HALF_TEXT_PX] = [4, 6];
-const [X_GAP_PX, Y_GAP_PX] = [48, 36]; // between two ticks, at least
+const GAP_PX = 50; // between two ticks, at least, of either axis
 
 /**
  * Draw the axes of a map.
@@ -29,15 +29,16 @@ export function drawAxes(draw, plane, zoom, left, top, ink) {
   draw.beginPath();
   draw.textAlign = "center";
   draw.textBaseline = "top";
-  for (const { value, text } of labelledTicks(plane.left, plane.left + plane.width, width / X_GAP_PX)) {
+  for (const { value, text } of labelledTicks(plane.left, plane.left + plane.width, width / GAP_PX)) {
     const x = Math.round(left + (value - plane.left) * zoom) + 0.5;
     draw.moveTo(x, bottom);
     draw.lineTo(x, bottom + TICK_PX);
-    draw.fillText(text, Math.min(x, left + width - draw.measureText(text).width / 2), bottom + TICK_PX + 2);
+    const half = draw.measureText(text).width / 2;
+    draw.fillText(text, Math.max(left + half, Math.min(x, left + width - half)), bottom + TICK_PX + 2);
   }
   draw.textAlign = "right";
   draw.textBaseline = "middle";
-  for (const { value, text } of labelledTicks(plane.top, plane.top + plane.height, (bottom - top) / Y_GAP_PX)) {
+  for (const { value, text } of labelledTicks(plane.top, plane.top + plane.height, (bottom - top) / GAP_PX)) {
     const y = Math.round(top + (value - plane.top) * zoom) + 0.5;
     draw.moveTo(left - TICK_PX, y);
     draw.lineTo(left, y);

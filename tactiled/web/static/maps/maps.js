@@ -69,10 +69,10 @@ export class Maps {
     this.raw.use(plane, plane.raw);
     this.restored.use(plane, plane.restored);
     this.difference.use(plane, plane.restored);
-    this._surfaces[0].use(plane, plane.raw);
-    this._surfaces[1].use(plane, plane.restored);
     const { x, y, count } = plane.restored;
     this._taxels = Int32Array.from({ length: count }, (_, i) => plane.find(plane.raw, x[i], y[i]));
+    this._surfaces[0].use(plane, plane.raw, this._taxels);
+    this._surfaces[1].use(plane, plane.restored, this._taxels);
     this._differences = new Float32Array(count);
     this._differenceRange.reset();
     this.layout();
@@ -107,6 +107,7 @@ export class Maps {
     if (shear && frame.sheared && frame.traction.length) this.restoredArrows.draw(frame.traction, frame.timestamp);
     else this.restoredArrows.clear();
     if (view.name === "difference" && view.signed) this._paintDifference(frame, view.signed);
+    this._writeValues(frame, range, colormap, view);
     if (view.name !== "surface") return;
     this._surfaces[0].paint(frame.raw, range, colormap, frame.unit);
     this._surfaces[1].paint(frame.restored, range, colormap, frame.unit);
@@ -121,19 +122,28 @@ export class Maps {
   }
 
   /**
-   * Write values in the cells, if they are large enough; seldom, as nobody reads sixty a second.
+   * Write values in the cells, if they are large enough.
    * @param {Frame} frame
    * @param {DisplayRange} range
+   * @param {Colormap} colormap
    * @param {View} view
    */
-  write(frame, range, { name, colormap, signed }) {
+  _writeValues(frame, range, colormap, { name, signed }) {
     const plane = this._plane;
-    if (!plane || !colormap) return;
+    if (!plane || name === "surface") return;
     const [raw, restored, difference] = this._values;
+    if (name === "difference") {
+      if (signed) difference.draw(this._differences, plane, plane.restored, this._differenceRange, signed);
+      return;
+    }
     raw.draw(frame.raw, plane, plane.raw, range, colormap, this.rawMarks);
     restored.draw(frame.restored, plane, plane.restored, range, colormap, this.restoredMarks);
-    if (name !== "difference" || !signed) return;
-    difference.draw(this._differences, plane, plane.restored, this._differenceRange, signed);
+  }
+
+  /** Write the extremes of the difference; seldom, as nobody reads sixty a second. @param {Frame} frame @param {View} view */
+  write(frame, { name, signed }) {
+    const plane = this._plane;
+    if (!plane || name !== "difference" || !signed) return;
     const { x, y } = plane.restored;
     const [lowest, highest] = extremes(this._differences);
     const [low, high] = [lowest, highest].map((i) => (i < 0 ? 0 : this._differences[i]));

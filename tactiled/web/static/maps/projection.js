@@ -88,9 +88,9 @@ export class Projection {
   }
 }
 
-/** The columns of a grid. On the screen, all tops have the same outline: a parallelogram with one corner in front. */
+/** The columns of cells in rows and columns. On the screen, all tops have the same outline: a parallelogram with one corner in front. */
 export class Columns {
-  /** @param {Cells} cells of a grid */
+  /** @param {Cells} cells in rows and columns */
   constructor(cells) {
     this._cells = cells;
     this._heights = new Float64Array(cells.count); // px of the picture, as everything below; negative without data

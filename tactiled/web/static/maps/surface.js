@@ -43,8 +43,11 @@ export class Surface {
     this._ink = themeColors();
     /** @type {Plane|null} */
     this._plane = null;
-    /** @type {Columns|null} null on a layout that is no grid */
+    /** @type {Columns|null} null before a sensor */
     this._columns = null;
+    /** @type {Int32Array|null} the taxel whose value each column has; null: its own */
+    this._taxels = null;
+    this._values = new Float32Array(0); // of columns that have taxels' values
     /** @type {ImageData|null} null while it is not shown */
     this._image = null;
     this._pixels = new Uint32Array(0);
@@ -92,10 +95,17 @@ export class Surface {
     });
   }
 
-  /** @param {Plane} plane @param {Cells} cells of this map */
-  use(plane, cells) {
+  /**
+   * Take another sensor's cells. Taxels of no grid have the columns of the restored cells that are nearest to them.
+   * @param {Plane} plane
+   * @param {Cells} cells of this map
+   * @param {Int32Array} taxels that the restored cells lie on; -1: on none
+   */
+  use(plane, cells, taxels) {
     this._plane = plane;
-    this._columns = plane.isGrid ? new Columns(cells) : null;
+    this._columns = new Columns(cells.isRaster ? cells : plane.restored);
+    this._taxels = cells.isRaster ? null : taxels;
+    this._values = new Float32Array(taxels.length);
     this._image = null;
   }
 
@@ -133,7 +143,9 @@ export class Surface {
       this._shades = SHADES.map((share) => colormap.rgba.map((each) => shaded(each, share)));
     }
     this._pixels.fill(0);
-    this._columns.paint(this._pixels, this._image.width, values, range, colormap, this._shades);
+    const { _taxels: taxels } = this;
+    if (taxels) taxels.forEach((taxel, i) => { this._values[i] = values[taxel] ?? NaN; });
+    this._columns.paint(this._pixels, this._image.width, taxels ? this._values : values, range, colormap, this._shades);
     this._pen.putImageData(this._image, 0, 0);
     const { low, high } = range;
     if (low === this._low && high === this._high && unit === this._unit) return;

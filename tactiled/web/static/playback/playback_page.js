@@ -4,7 +4,7 @@ import * as api from "../wire/api.js";
 import { Chart, PLOT_LEFT_PX, PLOT_RIGHT_PX, line } from "../charts/chart.js";
 import { roundUp } from "../maps/display_range.js";
 import { byId, setText } from "../shell/dom.js";
-import { positionText } from "../shell/format.js";
+import { dateText, positionText } from "../shell/format.js";
 import { isBrowsers } from "../shell/keyboard.js";
 import { messageOf, notice } from "../shell/notice.js";
 import { SPEEDS, recordingName } from "./playback_clock.js";
@@ -258,12 +258,12 @@ class OverviewChart {
 
 /** @param {Played} recorded @returns {string} */
 function describe({ frames, reading, timestamp, tared_at, calibration, error, caveats }) {
-  const when = (/** @type {number} */ s) => new Date(s * 1000).toLocaleString([], { hour12: false });
+  const when = (/** @type {number} */ s) => dateText(s, "medium");
   const zero = tared_at === null ? "" : `, tared ${when(tared_at)}`;
   const file = calibration === "configured" ? "" : `, calibration ${calibration}`;
   const end = reading ? ", reading …" : error ? `, ends early: ${error}` : "";
   const also = caveats.map((each) => `, ${each}`).join("");
-  return `${timestamp === null ? "" : `${when(timestamp)}, `}${frames} frames${zero}${file}${also}${end}`;
+  return `${timestamp === null ? "" : `${when(timestamp)}, `}${frames} ${frames === 1 ? "frame" : "frames"}${zero}${file}${also}${end}`;
 }
 
 /** Bring the maps into view, for what is shown on them from now on. */

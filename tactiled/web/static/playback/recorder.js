@@ -2,7 +2,7 @@
 
 import * as api from "../wire/api.js";
 import { byId, confirmed, element, setText } from "../shell/dom.js";
-import { byteText } from "../shell/format.js";
+import { byteText, dateText } from "../shell/format.js";
 import { notice } from "../shell/notice.js";
 import { withToken } from "../wire/token_dialog.js";
 
@@ -141,7 +141,7 @@ export class Recorder {
 function describe(recording) {
   const size = recording.bytes === null ? "file moved or removed" : byteText(recording.bytes);
   const messages = recording.messages === null ? "" : `, ${recording.messages} messages`;
-  const when = recording.modified ? `${new Date(1000 * recording.modified).toLocaleString([], { dateStyle: "medium", timeStyle: "short", hour12: false })}, ` : "";
+  const when = recording.modified ? `${dateText(recording.modified, "short")}, ` : "";
   const state = recording.running ? `recording ${recording.bus}, ` : when;
   return `${state}${size}${messages}${recording.error ? `, ended early: ${recording.error}` : ""}`;
 }

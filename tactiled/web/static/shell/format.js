@@ -44,6 +44,10 @@ export function duration(seconds) {
   return `${Math.floor(seconds / 3600)} h`;
 }
 
+/** @param {number} time s, Unix @param {"short"|"medium"} precision of the time of day @returns {string} date and time */
+export const dateText = (time, precision) =>
+  new Date(1000 * time).toLocaleString([], { dateStyle: "medium", timeStyle: precision, hour12: false });
+
 /** @param {number} seconds in a recording @returns {string} minutes and seconds, with hours where there are any */
 export function positionText(seconds) {
   if (!Number.isFinite(seconds)) return "\u2013";

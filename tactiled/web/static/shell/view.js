@@ -37,7 +37,6 @@ export class View {
     this._projection = projection;
     this._onChange = onChange;
     this._views = /** @type {HTMLSelectElement} */ (byId("view"));
-    this._surface = /** @type {HTMLOptionElement} */ (byId("view-surface"));
     this._colors = /** @type {HTMLSelectElement} */ (byId("colors"));
     this._scales = /** @type {HTMLSelectElement} */ (byId("wall-scale"));
     this._split = /** @type {HTMLInputElement} */ (byId("split"));
@@ -88,15 +87,7 @@ export class View {
 
   /** @returns {string} both, slider, raw, restored, difference or surface */
   get name() {
-    const { value } = this._views;
-    return value === "surface" && this._surface.disabled ? "both" : value;
-  }
-
-  /** @param {boolean} isGrid cells have rows and columns, as those of a surface must */
-  offerSurface(isGrid) {
-    this._surface.disabled = !isGrid;
-    this._surface.text = isGrid ? "3-D surface" : "3-D surface: grids only";
-    this._show();
+    return this._views.value;
   }
 
   /** Fix the range that the address has, once it is known of which unit it is. @param {number} unit */

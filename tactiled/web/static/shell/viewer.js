@@ -199,9 +199,9 @@ export class Viewer {
     session.painted();
   }
 
-  /** Write values in the cells of the frame that is shown. */
+  /** Write what is read of the difference that is shown. */
   write() {
-    if (this.frame) this.maps.write(this.frame, this.range, this.view);
+    if (this.frame) this.maps.write(this.frame, this.view);
   }
 
   /** Paint at once what is shown, for a picture of it. */
@@ -216,7 +216,6 @@ export class Viewer {
     this.regions?.layout(this.maps.zoom);
     this.maps.paint(frame, this.range, colormap, this.marks, this.shear, this.view);
     if (this.session) this._drawPath(this.session);
-    this.write();
   }
 
   /** @param {Session|PlaybackSession} session */
@@ -347,7 +346,6 @@ export class Viewer {
   /** @param {Sensor} sensor @param {Plane} plane @param {Played|null} recorded what is watched in its place */
   _open(sensor, plane, recorded) {
     const { name } = sensor;
-    this.view.offerSurface(plane.isGrid);
     this.maps.use(plane);
     this.section.use(plane);
     this.marks.along = plane.along;
