@@ -5,8 +5,16 @@ _Array = NDArray[np.float32]
 _Indices = NDArray[np.int64]
 
 def box(
-    y: _Array, rows: NDArray[np.int32], columns: NDArray[np.int32], threshold: float, margin: int
-) -> tuple[int, int, int, int, int, float, float, float]: ...
+    y: _Array,
+    rows: NDArray[np.int32],
+    columns: NDArray[np.int32],
+    shape: tuple[int, int],
+    threshold: float,
+    margin: int,
+    noise: float,
+    sigmas: float,
+    hidden: float,
+) -> tuple[int, int, int, int, bool]: ...
 def complete(
     matrix: _Array,
     y: _Array,

@@ -1,19 +1,40 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, initializedcheck=False, cdivision=True
 """Where a surface is pressed, and what lies beyond the taxels there, float32."""
 
+from libc.limits cimport INT_MAX
+from libc.math cimport sqrt
 
-def box(const float[::1] y, const int[::1] rows, const int[::1] columns, float threshold, int margin):
-    """Find where taxels read more than a threshold: at `rows` and `columns` (N,), `margin` more on each side.
 
-    Gives first and last row, first and last column; of the taxels elsewhere the number, sum and sum of squares of what
-    they read; and that of all. The last row is before the first where none of `y` (N,) reads more. NaN is more.
+def box(
+    const float[::1] y,
+    const int[::1] rows,
+    const int[::1] columns,
+    (int, int) shape,
+    float threshold,
+    int margin,
+    float noise,
+    float sigmas,
+    float hidden,
+):
+    """Find the box on a surface (R, C) that all of a frame y (N,) is in, of taxels at `rows` and `columns` (N,).
+
+    It is around the taxels that read more than a threshold, NaN too, with a `margin` of cells on each side; it goes
+    to the end of the surface where it has the outermost taxels. It is the whole surface unless what the n taxels
+    outside read is as noise is: squares whose sum is within `sigmas` sqrt(2 n) of n, a sum within `sigmas` sqrt(n),
+    in standard deviations `noise`; and the pressure that this could hide, the square root of the first, has no
+    norm above `hidden` times the frame's.
+    Gives first row, end of rows, first column, end of columns, and whether the box ends before all outermost taxels.
     """
     cdef long n
-    cdef int top = 0, bottom = -1, left = 0, right = -1, count = 0, outside
-    cdef float total = 0, squares = 0, power = 0, value
+    cdef int top = 0, bottom = -1, left = 0, right = -1, outside
+    cdef int low = INT_MAX, high = -1, first = INT_MAX, last = -1
+    cdef float count = 0, total = 0, squares = 0, power = 0, value, stray
     if not y.shape[0] == rows.shape[0] == columns.shape[0]:
         raise ValueError("box: shapes do not fit")
     with nogil:
+        for n in range(y.shape[0]):
+            low, high = min(low, rows[n]), max(high, rows[n])
+            first, last = min(first, columns[n]), max(last, columns[n])
         for n in range(y.shape[0]):
             if y[n] <= threshold:
                 continue
@@ -21,8 +42,7 @@ def box(const float[::1] y, const int[::1] rows, const int[::1] columns, float t
                 top, bottom, left, right = rows[n], rows[n], columns[n], columns[n]
             top, bottom = min(top, rows[n]), max(bottom, rows[n])
             left, right = min(left, columns[n]), max(right, columns[n])
-        if bottom >= 0:
-            top, bottom, left, right = top - margin, bottom + margin, left - margin, right + margin
+        top, bottom, left, right = top - margin, bottom + margin, left - margin, right + margin
         for n in range(y.shape[0]):
             outside = (rows[n] < top) | (rows[n] > bottom) | (columns[n] < left) | (columns[n] > right)
             value = y[n] if outside else 0
@@ -30,7 +50,20 @@ def box(const float[::1] y, const int[::1] rows, const int[::1] columns, float t
             total += value
             squares += value * value
             power += y[n] * y[n]
-    return top, bottom, left, right, count, total, squares, power
+        noise *= noise
+        stray = noise * sigmas * sqrt(2 * count)
+    if (
+        bottom < margin or not squares < noise * count + stray
+        or not total * total < sigmas * sigmas * noise * count or stray > hidden * hidden * power
+    ):
+        return 0, shape[0], 0, shape[1], False
+    return (
+        top if top > low else 0,
+        bottom + 1 if bottom < high else shape[0],
+        left if left > first else 0,
+        right + 1 if right < last else shape[1],
+        low < top and bottom < high and first < left and right < last,
+    )
 
 
 def complete(

@@ -9,7 +9,6 @@ from math import sqrt
 
 import numpy as np
 
-from tactiled.core import coefficients
 from tactiled.restore import learned
 from tactiled.restore.deviation import deviation, learned_deviation, raw_deviation
 from tactiled.restore.modes import Floats, Image
@@ -98,7 +97,7 @@ class Auto:
         if self._too_thin and self._scene.spotted:
             return Restored(self._scene.raw(), "raw", SPOTS, 0, 1.0, resolution)
         linear = self._wiener()
-        negative = self._negative(linear)
+        negative = self._negative()
         if negative < WORTH:
             return Restored(linear, "wiener", WIENER.format(negative), 0, self._wiener.noise_gain, resolution)
         sharp = self._sharp
@@ -116,9 +115,9 @@ class Auto:
         noise = max(1 - filter_.noise_gain**2, 0.0) * scene.noise**2 * scene.size
         return sqrt((filter_.correction(scene.power) + noise) / max(scene.square, 1e-30))
 
-    def _negative(self, linear: Image) -> float:
-        """Norm of an image's negative part over its norm: no pressure is below zero, so that much is wrong."""
-        _, above, below, _ = coefficients.signed_sums(linear.reshape(len(linear), -1))
+    def _negative(self) -> float:
+        """Norm of the linear image's negative part over its norm: no pressure is below zero, so that is wrong."""
+        _, above, below, _ = self._wiener.sums
         return sqrt(below / max(above + below, 1e-30))
 
 

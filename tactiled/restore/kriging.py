@@ -107,7 +107,7 @@ class Part(Kriging):
         """Give the full frame; `y` is one of the array, without gaps. Valid until the next."""
         if not len(self._missing):
             return y
-        if box and box.clear:
+        if box and box[4]:
             self._frame.fill(0)
             np.copyto(self._inside, y)
         else:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from tactiled.core import coefficients, network
+from tactiled.core import network
 from tactiled.restore.blur import Blur
 from tactiled.restore.modes import Floats, Image
 from tactiled.restore.scene import Scene
@@ -81,19 +81,19 @@ class Conditions:
 
     def __init__(self, scene: Scene) -> None:
         self.values = np.concatenate([np.ones(OF_FRAME, np.float32), cover_gains(scene.blur)])
-        self._scene = scene
+        self._scene, self._cells = scene, scene.cell_reach.size
         self.values[5] = log(float(cell_maps(scene)[1].sum()) / scene.size)
 
-    def __call__(self, linear: Image, noise_gain: float) -> float:
+    def __call__(self, linear: Wiener) -> float:
         """Take the scene's frame, by its linear image; gives the largest value of that (kPa), or the noise."""
         spectrum = self._scene.spectrum
-        total, squares, _, highest = coefficients.signed_sums(linear)
+        total, squares, _, highest = linear.sums
         scale = max(highest, self._scene.noise)
-        share = total**2 / (squares * linear.size) if squares else 1.0
+        share = total**2 / (squares * self._cells) if squares else 1.0
         self.values[0] = log(self._scene.noise / scale) / 3 + 1.5
         self.values[1] = log(spectrum.level) / 5 - 1
         self.values[2] = log(spectrum.corner) / 2 + 1
-        self.values[3] = log(noise_gain) / 2
+        self.values[3] = log(linear.noise_gain) / 2
         self.values[4] = log(share) / 2 + 1
         return scale
 
@@ -125,7 +125,7 @@ class Learned:
     def __call__(self, linear: Image) -> int:
         """Restore from the linear image; gives the stages run."""
         scene = self._scene
-        self._scale = self._conditions(linear, self._wiener.noise_gain)
+        self._scale = self._conditions(self._wiener)
         done = self._run(linear)
         scene.keep_force(self.image.reshape(-1))
         return done

@@ -77,7 +77,7 @@ class Restorer:
         self.surface, self._knows_unfelt = done.image, done.method == learned.Learned.name
         if done.image.shape == self._shape:
             return done
-        return done._replace(image=self._scene.inside(done.image))
+        return Restored(self._scene.inside(done.image), *done[1:])
 
     def predicted(self) -> Image:
         """Give what the taxels (kPa, their shape) feel of what was restored last, beyond the array too."""

@@ -36,6 +36,7 @@ MAX_LAST_SHIFT = 0.25  # pitches that the last step may move a point: it is line
 MAX_LAST_STRETCH = 0.5  # of a force that it may change
 MAX_FORCE_ERROR = 0.2  # of a force
 MAX_PLACE_ERROR = 0.5  # pitches
+NOWHERE = np.zeros((0, 2))
 NO_GRID = "points need a grid of three taxels a side at least: restored by nnls"
 TOO_THIN = "the cover is too thin to locate loads within a taxel: restored by nnls"
 
@@ -99,7 +100,9 @@ class Points:
         k, places = self._refine, np.empty((MAX_POINTS, 2))
         n, pairs, total, squares, rest = points.peaks(image, k, MAX_REMAINDER, TOUCHING * k, places)
         too_wide = rest > MAX_OUTSIDE * total or total**2 > n * self._widest * squares
-        return places[: 0 if too_wide or 2 * pairs > MAX_NEIGHBOURS * n else n] / k + (0.5 / k - 0.5)
+        if too_wide or 2 * pairs > MAX_NEIGHBOURS * n:
+            return NOWHERE
+        return places[:n] / k + (0.5 / k - 0.5)
 
     def _accepted(self, fitter: Fitter, fit: Fit, y: Image) -> PointLoads | None:
         """Draw and give what stands of a fit; None where anything is uncertain."""

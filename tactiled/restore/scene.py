@@ -88,6 +88,7 @@ class Scene:
         self._pressed = Pressed(array, noise)
         self.box = self._pressed.whole  # on the surface that what presses is in
         self.high = self.low = 0.0  # kPa, the frame's largest and smallest
+        self.force = 0.0  # kPa, the sum over the frame
         self._reach = self.cell_reach.reshape(-1)
         self._resolution: dict[Spectrum, float] = {}
         self._unfelt: dict[Spectrum, Image] = {}
@@ -112,6 +113,7 @@ class Scene:
         self.frame = self.kriging(y, self.spectrum, self.box)
         self._analyse(self.frame, self.c)
         np.multiply(self.c, self.c, out=self.squares)
+        self.force = float(self.ones.dot(self.flat))
 
     def look_at_nothing(self) -> None:
         """Take in that there is no pressure."""
@@ -141,11 +143,6 @@ class Scene:
                 for each in make:
                     each()
         self.look_at_nothing()
-
-    @property
-    def force(self) -> float:
-        """Sum over the frame (kPa)."""
-        return float(self.ones.dot(self.flat))
 
     @property
     def square(self) -> float:

@@ -8,6 +8,7 @@ from math import prod, sqrt
 
 import numpy as np
 
+from tactiled.core import coefficients
 from tactiled.restore.modes import Floats, Image
 from tactiled.restore.narrow_band import NarrowBand
 from tactiled.restore.prior import Spectrum
@@ -49,6 +50,7 @@ class Wiener:
         self._synthesise = modes.head_to_surface()
         self._modes, self._image = np.empty_like(scene.c), self._synthesise.empty()
         self.noise_gain = 0.0
+        self.sums = 0.0, 0.0, 0.0, 0.0  # of the last image, as by `coefficients.signed_sums`
 
     def filter(self) -> Filter:
         """Give the filter of the scene's spectrum, made when that spectrum is first met."""
@@ -71,4 +73,6 @@ class Wiener:
         scale = scene.force_scale(missed)
         if scale != 1.0:
             np.multiply(self._modes, np.float32(scale), out=self._modes)
-        return self._synthesise(self._modes, self._image)
+        image = self._synthesise(self._modes, self._image)
+        self.sums = coefficients.signed_sums(image.reshape(len(image), -1))
+        return image

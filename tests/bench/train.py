@@ -157,7 +157,7 @@ class Skin:
         """Give the linear image and coefficients of a frame, both over a scale, the conditions, and the scale."""
         self.scene.look(np.ascontiguousarray(frame, np.float32))
         linear = self._wiener()
-        scale = self._conditions(linear, self._wiener.noise_gain)
+        scale = self._conditions(self._wiener)
         return linear / scale, self.scene.c / scale, self._conditions.values.copy(), scale
 
 

@@ -2,25 +2,34 @@
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from tactiled.core import surface
 
 
-@given(st.lists(st.floats(-2, 2, width=32), min_size=1, max_size=30), st.integers(0, 9))
-def test_the_box_is_around_all_that_reads_more_and_the_rest_is_added_up(y, seed):
-    rows, columns = np.random.default_rng(seed).integers(0, 9, (2, len(y)), np.int32)
+@given(st.lists(st.floats(-2, 2, width=32), min_size=1, max_size=30), st.integers(0, 9), st.floats(0.1, 3))
+def test_the_box_is_around_all_that_reads_more_where_the_rest_is_as_noise_is(y, seed, noise):
+    random, whole = np.random.default_rng(seed), (0, 12, 0, 14, False)
+    rows, columns = random.integers(0, 9, (2, len(y)), np.int32)
+    found = surface.box(np.array(y, np.float32), rows, columns, (12, 14), 1, 2, noise, 4, 0.5)
     above = np.array(y) > 1
-    top, bottom, left, right = expected = (
-        (rows[above].min() - 2, rows[above].max() + 2, columns[above].min() - 2, columns[above].max() + 2)
-        if above.any()
-        else (0, -1, 0, -1)
-    )
+    if not above.any():
+        assert found == whole
+        return
+    first, last = ((f(rows[above]), f(columns[above])) for f in (np.min, np.max))
+    (top, left), (bottom, right) = np.array(first) - 2, np.array(last) + 2
     out = np.array(y)[~((rows >= top) & (rows <= bottom) & (columns >= left) & (columns <= right))]
-    found = surface.box(np.array(y, np.float32), rows, columns, 1, 2)
-    assert found[:5] == (*expected, len(out))
-    assert found[5:] == pytest.approx((out.sum(), (out**2).sum(), (np.array(y) ** 2).sum()), abs=1e-4)
+    stray = 4 * np.sqrt(2 * len(out)) * noise**2
+    bounds = np.array([noise**2 * len(out) + stray, 16 * noise**2 * len(out), 0.25 * np.square(y).sum()])
+    measured = np.array([np.square(out).sum(), out.sum() ** 2, stray])
+    assume(np.abs(bounds - measured).min() > 1e-4)
+    if (measured > bounds).any():
+        assert found == whole
+        return
+    free = top > rows.min(), bottom < rows.max(), left > columns.min(), right < columns.max()
+    expected = zip((top, bottom + 1, left, right + 1), free, whole[:4], strict=True)
+    assert found == (*(cell if each else end for cell, each, end in expected), all(free))
 
 
 @given(st.data(), st.integers(0, 9))

@@ -55,7 +55,7 @@ def test_where_it_is_pressed_the_image_is_what_it_is_all_over(sensed, both, plac
     truth = disc(*place)
     for _ in range(5):
         done, full, part = both(sensed(truth))
-        assert part.bottom - part.top < SHAPE[0] / 2
+        assert part[1] - part[0] < SHAPE[0] / 2
         assert done.method == full.method == "learned"
         assert error(done.image, truth) < 1.05 * error(full.image, truth)
         assert np.sqrt(np.mean((done.image - full.image) ** 2)) < SIGMA
@@ -67,7 +67,7 @@ def test_a_contact_that_crosses_is_never_cut(sensed, both):
     for step in np.arange(0, 26, 0.25):
         truth = disc(2 + step, 3 + 1.1 * step)
         done, full, part = both(sensed(truth))
-        assert part.bottom - part.top < SHAPE[0]
+        assert part[1] - part[0] < SHAPE[0]
         errors.append((error(done.image, truth), error(full.image, truth)))
     some, every = np.array(errors).T
     assert some.mean() < 1.01 * every.mean()
@@ -85,7 +85,7 @@ LEAVING = {
 @pytest.mark.parametrize("case", LEAVING)
 def test_all_is_restored_where_more_than_one_small_contact_presses(sensed, covered, case):
     pressed = Pressed(covered(SHAPE), SIGMA)
-    assert pressed(sensed(disc(12, 12))).clear
+    assert pressed(sensed(disc(12, 12)))[4]
     for _ in range(8):
         assert pressed(sensed(LEAVING[case](disc(12, 12)))) == pressed.whole
 
@@ -127,11 +127,11 @@ def test_the_box_is_in_cells_of_the_surface(covered, arguments, place, clear):
     scene, frame = Scene(blur, SIGMA), np.zeros((13, 13), np.float32)
     frame[place] = 1000
     part = Pressed(blur, SIGMA)(frame.reshape(blur.frame_shape))
-    assert part.clear == clear
+    assert part[4] == clear
     cells, own = scene.blur.surface_shape[0] // 13, 0
     if blur.wide is not None:
         cells, own = blur.refine, blur.wide.own[0].start
     left, right = own + cells * (place[1] - 2), own + cells * (place[1] + 3)
-    assert abs(part.left - left) < cells
-    assert abs(part.right - right) < cells
-    assert (part.top == 0) == (not clear)
+    assert abs(part[2] - left) < cells
+    assert abs(part[3] - right) < cells
+    assert (part[0] == 0) == (not clear)
