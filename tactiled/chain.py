@@ -198,6 +198,10 @@ class Chain:
 
     def deviation(self, image: Image) -> Floats32:
         """Standard deviation of every cell of `image.restored`, this chain's newest, in its unit; any thread."""
+        return np.asarray(self._own(self.surface(image))[1])
+
+    def surface(self, image: Image) -> Floats32:
+        """Restored pressure and its deviation (2, R, C), with what lies beyond the array; as of `deviation`."""
         wanted_by = self._method, image.noise
         with self._deviation_lock:
             if self._deviation is None or self._deviation[0] != wanted_by:
@@ -205,7 +209,14 @@ class Chain:
             restorer = self._deviation[1]
             restorer.weigh(self.noise_ratio)
             restorer(_less(image.raw, image.tilt), image.flags)
-            return np.where(np.isnan(image.restored), np.nan, restorer.deviation()).astype(np.float32)
+            both = np.asarray(restorer.whole(), np.float32)
+        self._own(both)[:, np.isnan(image.restored)] = np.nan
+        return both
+
+    def _own(self, surface: Floats32) -> Floats32:
+        """The array's part of images (n, R, C) of the surface."""
+        wide = self.plan.blur.wide
+        return surface if wide is None else surface[:, wide.own[0], wide.own[1]]
 
 
 def _less(raw: Floats32, added: Reals | None) -> Floats32:

@@ -32,7 +32,8 @@ class Pipeline:
     """Turns the raw frames of one array into images, one after the other, on one thread.
 
     `set_method`, `tare` and `lapse_tare` may be called from any thread and take effect with the next frame;
-    `load_description`, `deviation` and `forces` may be called from any thread, too; the rest between two frames.
+    `load_description`, `deviation`, `surface` and `forces` may be called from any thread, too; the rest between
+    two frames.
     """
 
     def __init__(self, plan: SensorPlan, before: "Pipeline | None" = None, start: Start = call) -> None:
@@ -43,7 +44,8 @@ class Pipeline:
         self._plan = plan
         self.noise: Noise = Noise(plan.calibration, plan.unit, before.noise if before else None)
         self._chain = Chain(plan, self.noise.kpa)
-        self.calibrator, self.deviation = self._chain.calibrator, self._chain.deviation
+        self.calibrator = self._chain.calibrator
+        self.deviation, self.surface = self._chain.deviation, self._chain.surface
         codec = plan.codec
         self.monitor = SkinMonitor(plan.array, plan.kernel, plan.calibration, codec.ends, codec.full_scale, start)
         self.tares = Tare()

@@ -86,6 +86,10 @@ class Sensor:
         """Standard deviation of every cell of the newest restored image, in its unit."""
         return self.pipeline.deviation(image)
 
+    def surface(self, image: Image) -> Floats32:
+        """The newest restored image and its deviation (2, R, C), with what lies beyond the taxels, in its unit."""
+        return self.pipeline.surface(image)
+
     def need_shear(self) -> None:
         """NoShearError where its skin feels none."""
         if not self.plan.shears:

@@ -88,14 +88,28 @@ class Restorer:
 
     def deviation(self) -> Floats:
         """Standard deviation (kPa) of every cell of the image last restored; NaN if no taxel had data."""
+        return self._scene.inside(self.whole()[1])
+
+    def whole(self) -> tuple[Image, Floats]:
+        """Give the image last restored with what lies beyond the array, and its deviation (kPa).
+
+        Both are NaN beyond if the method leaves that open, the deviation all over if no taxel had data.
+        """
+        scene, image = self._scene, np.full(self._scene.blur.surface_shape, np.nan, np.float32)
+        if self.surface.shape == image.shape:
+            image = self.surface
+        else:
+            scene.inside(image)[...] = self.surface
         if self._empty:
-            return np.full(self._shape, np.nan)
-        scene, spread = self._scene, self._method.deviation()
+            return image, np.full(image.shape, np.nan)
+        spread = self._method.deviation()
         unfelt = self._inpainter.deviation() if self._filled else scene.unfelt(scene.spectrum)
         if self._knows_unfelt:  # beyond the array and between taxels, not of those that are inferred
             unfelt = np.sqrt(np.maximum(unfelt**2 - scene.unfelt(scene.spectrum) ** 2, 0))
-        inside = spread if spread.shape == self._shape else scene.inside(spread)
-        return np.asarray(np.hypot(inside, scene.inside(unfelt)), float)
+        if spread.shape != image.shape:
+            own, spread = spread, np.full(image.shape, np.nan)
+            scene.inside(spread)[...] = own
+        return image, np.asarray(np.hypot(spread, unfelt), float)
 
 
 def named(name: str) -> str:

@@ -21,16 +21,29 @@ class Pressed:
     def __init__(self, array: Blur, noise: float) -> None:
         """`noise` (kPa) is a taxel's standard deviation."""
         wide = array.wide
-        rows, columns = self._shape = wide.blur.surface_shape if wide else array.surface_shape
+        rows, columns = wide.blur.surface_shape if wide else array.surface_shape
         cells = np.arange(rows * columns).reshape(rows, columns)
         if wide is None:
             cells = cells[:: array.refine, :: array.refine]
         else:
             cells = cells[wide.own] if wide.felt is None else wide.felt.argmax(axis=1)
         self._at = np.divmod(cells.ravel().astype(np.int32), np.int32(columns))  # of the cell a taxel feels most
-        self._bounds = detection_threshold(noise, cells.size), MARGIN * array.refine, noise, QUIET_SIGMAS, HIDDEN
+        self._threshold = detection_threshold(noise, cells.size)
+        self._margin, self._noise = MARGIN * array.refine, noise
         self.whole: Box = 0, rows, 0, columns, False
 
     def __call__(self, y: Image) -> Box:
         """Give the box for a frame without gaps: the whole surface, if nothing less is sure."""
-        return surface.box(y.reshape(-1), *self._at, self._shape, *self._bounds)
+        (_, rows, _, columns, _), (of_rows, of_columns) = self.whole, self._at
+        margin, noise = self._margin, self._noise
+        return surface.box(
+            y.reshape(-1),
+            of_rows,
+            of_columns,
+            (rows, columns),
+            self._threshold,
+            margin,
+            noise,
+            QUIET_SIGMAS,
+            HIDDEN,
+        )

@@ -132,6 +132,22 @@ def frame(
     )
 
 
+def surface(sensor: Sensor, image: Image) -> schemas.Surface:
+    """The newest image with what lies beyond the taxels, with the sensor's present state."""
+    cells, wide = sensor.cells, sensor.plan.blur.wide
+    rows, columns = wide.own if wide else (slice(0, n) for n in cells.shape)
+    values, deviation = (numbers(each) for each in sensor.surface(image))
+    return schemas.Surface(
+        **_message(image, sensor.status()),
+        unit=image.unit,
+        cell_mm=cells.side,
+        origin_mm=(cells.corner[0] - columns.start * cells.side, cells.corner[1] - rows.start * cells.side),
+        own=(rows.start, rows.stop, columns.start, columns.stop),
+        values=values,
+        deviation=deviation,
+    )
+
+
 def shear(sensor: SensorView, image: Image) -> schemas.Shear:
     """Shear of an image that has it, with the sensor's present state."""
     x, y = (numbers(each) for each in np.asarray(image.shear))

@@ -176,6 +176,23 @@ class Frame(Restoration, FrameId, Message):
     warnings: tuple[FrameWarning, ...]
 
 
+class Surface(FrameId, Message):
+    """The newest restored image with what lies beyond the taxels, and its standard deviation; null: unknown."""
+
+    type: Literal["surface"] = "surface"
+    unit: Unit
+    cell_mm: float = Field(examples=[0.5])
+    origin_mm: tuple[float, float] = Field(
+        description="x and y of the first cell's centre", examples=[[-2.0, -2.0]]
+    )
+    own: tuple[int, int, int, int] = Field(
+        description="cells of `restored`: first row, end of rows, first column, end of columns",
+        examples=[[4, 36, 4, 36]],
+    )
+    values: Values
+    deviation: Values
+
+
 class Shear(FrameId, Message):
     """Shear of one frame, as the skin senses it under its cover: tared, not restored, not calibrated."""
 

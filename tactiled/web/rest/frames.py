@@ -18,7 +18,7 @@ from tactiled.live.history import Page
 from tactiled.units import PRESSURE, SHEAR, Unit
 from tactiled.web import answers, schemas
 from tactiled.web.rest import drawing
-from tactiled.web.rest.dependencies import AnySensor, format_of, in_turn, in_unit, no_frame
+from tactiled.web.rest.dependencies import AnySensor, NamedSensor, format_of, in_turn, in_unit, no_frame
 from tactiled.web.rest.openapi import MEDIA, problems, success
 from tactiled.web.rest.picture import picture
 from tactiled.web.schemas import PressureKind
@@ -56,6 +56,9 @@ NEWEST_SHEAR = success(
 )
 NEWEST_TRACTION = success(
     "the newest frame's restored shear; .npy: (2, rows, columns), float32", "npy", headers=IMAGE_HEADERS
+)
+NEWEST_SURFACE = success(
+    "the newest image and its deviation; .npy: (2, rows, columns), float32", "npy", headers=IMAGE_HEADERS
 )
 PAGE = success(
     "images, oldest first: .npy (T, rows, columns), shear (T, 2, rows, columns); "
@@ -204,6 +207,24 @@ def _ranges(numbers: NDArray[np.int64]) -> str:
     """Ascending numbers, those in a row written as first-last."""
     runs = np.split(numbers, np.flatnonzero(np.diff(numbers) != 1) + 1) if len(numbers) else []
     return ",".join(f"{run[0]}-{run[-1]}" if len(run) > 1 else f"{run[0]}" for run in runs)
+
+
+@router.get("/surface", response_model=schemas.Surface, responses=problems(404, 406, 429, 503) | NEWEST_SURFACE)
+async def surface(
+    sensor: NamedSensor, request: Request, form: Annotated[ShearFormat, format_of(ShearFormat)]
+) -> Response:
+    """The newest restored image with what lies beyond the taxels, in `unit`, and its standard deviation."""
+    image = sensor.hub.latest()
+    if image is None:
+        raise no_frame(sensor)
+    headers = image_headers(image, sensor.status(), image.unit)
+
+    def answer() -> Response:
+        if form == "npy":
+            return Response(answers.npy(sensor.surface(image)), media_type=MEDIA[form], headers=headers)
+        return Response(answers.surface(sensor, image).model_dump_json(), media_type=MEDIA[form], headers=headers)
+
+    return await in_turn(request, answer, "numbers")
 
 
 @router.get("/shear", response_model=schemas.Shear, responses=problems(404, 406, 503) | NEWEST_SHEAR)

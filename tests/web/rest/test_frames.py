@@ -29,6 +29,27 @@ def images(rig):
     return images
 
 
+def test_the_surface_has_what_lies_beyond_the_taxels(rig, client):
+    counts = NO_LOAD + 0 * pressed()
+    counts[3:5, 0] = NO_LOAD + 200 / GAIN  # on the border
+    image = rig.show(counts)
+    answer, geometry = (client.get(f"/sensors/palm/{each}").json() for each in ("frames/surface", "geometry"))
+    top, bottom, left, right = answer["own"]
+    values, deviation = load(client.get("/sensors/palm/frames/surface?format=npy"))
+    np.testing.assert_allclose(values, answer["values"], atol=1e-4)
+    np.testing.assert_allclose(deviation, answer["deviation"], atol=1e-4)
+    np.testing.assert_allclose(values[top:bottom, left:right], image.restored, atol=1e-3 * image.restored.max())
+    own = np.array(client.get("/sensors/palm/frames/deviation").json()["values"])
+    np.testing.assert_allclose(deviation[top:bottom, left:right], own, atol=1e-4)
+    assert (answer["cell_mm"], answer["unit"]) == (geometry["restored"]["cell_mm"], "kPa")
+    first = np.array(answer["origin_mm"]) + answer["cell_mm"] * np.array([left, top])
+    np.testing.assert_allclose(first, geometry["restored"]["origin_mm"])
+    assert left > 0
+    assert values[:, :left].sum() > 0.1 * values.sum()  # the press goes on
+    assert values[:, right:].sum() < 0.01 * values.sum()
+    assert (deviation > 0).all()
+
+
 def get(url, **query):
     return ask("GET", url + PAST, params=query)
 
