@@ -114,11 +114,41 @@ class Codec(ABC):
         """The taxels that a segment carries, as an index into a frame."""
 
     @abstractmethod
+    def readings(self, batch: Batch) -> Readings:
+        """What the messages of a batch, all on `ids`, carry."""
+
+    @abstractmethod
+    def unpack(self, payloads: Sequence[bytes | None]) -> Counts:
+        """The counts (N,) of one frame from the payloads of its segments; 0 where a segment is None."""
+
+    def references(self, payloads: Sequence[bytes | None]) -> NDArray[np.float32] | None:
+        """Counts (M,) of pads that follow temperature and not pressure, NaN where missing; None: it has none."""
+        del payloads
+        return None
+
+    @abstractmethod
+    def encode(self, counts: Counts, sequence: int, time: float) -> list[Message]:
+        """The messages of one frame (N,), the inverse of `readings` and `unpack`."""
+
+    def checked(self, counts: Counts) -> NDArray[np.uint16]:
+        """The counts (N,) of one frame; CodecError where the skin cannot send them."""
+        checked = np.asarray(counts, np.uint16)
+        if checked.shape != (self.size,) or int(checked.max()) > self.full_scale:
+            raise CodecError(
+                f"counts {checked.shape} up to {checked.max()}: expected {self.size} up to {self.full_scale}"
+            )
+        return checked
+
+
+class MessageCodec(Codec):
+    """A codec whose author reads one message at a time: `decode` in place of `readings`."""
+
+    @abstractmethod
     def decode(self, message: Message) -> Reading:
-        """One message on one of `ids`; CodecError where it is malformed."""
+        """One message on one of `ids`; any exception means that it is malformed."""
 
     def readings(self, batch: Batch) -> Readings:
-        """Readings of a batch; by default message by message with `decode`: any exception means malformed."""
+        """What `decode` gives of each message."""
         count = len(batch)
         times, segments, good = batch.times.copy(), np.zeros(count, np.int64), np.zeros(count, np.bool_)
         sequences, payloads = np.full(count, NO_SEQUENCE), np.full(count, None, object)
@@ -139,46 +169,6 @@ class Codec(ABC):
                 bad[at] = taxels
         return Readings(times, segments, payloads, good, sequences, bad)
 
-    @abstractmethod
-    def unpack(self, payloads: Sequence[bytes | None]) -> Counts:
-        """The counts (N,) of one frame from the payloads of its segments; 0 where a segment is None."""
-
-    def references(self, payloads: Sequence[bytes | None]) -> NDArray[np.float32] | None:
-        """Counts (M,) of pads that follow temperature and not pressure, NaN where missing; None: it has none."""
-        del payloads
-        return None
-
-    @abstractmethod
-    def encode(self, counts: Counts, sequence: int, time: float) -> list[Message]:
-        """The messages of one frame (N,), the inverse of `decode` and `unpack`."""
-
-    def checked(self, counts: Counts) -> NDArray[np.uint16]:
-        """The counts (N,) of one frame; CodecError where the skin cannot send them."""
-        checked = np.asarray(counts, np.uint16)
-        if checked.shape != (self.size,) or int(checked.max()) > self.full_scale:
-            raise CodecError(
-                f"counts {checked.shape} up to {checked.max()}: expected {self.size} up to {self.full_scale}"
-            )
-        return checked
-
-
-class BatchCodec(Codec):
-    """A codec that reads a whole batch by arrays, and one message as a batch of one."""
-
-    @abstractmethod
-    def readings(self, batch: Batch) -> Readings:
-        """What a batch carries."""
-
-    def decode(self, message: Message) -> Reading:
-        """One message on one of `ids`; CodecError where it is malformed."""
-        readings = self.readings(Batch.of((message,)))
-        if not readings.good[0]:
-            kind = "CAN FD " if message.fd else ""
-            raise CodecError(f"{kind}message {message.id:#x} of {len(message.data)} bytes is not of this layout")
-        sequence = None if readings.sequences is None else int(readings.sequences[0])
-        payload = cast(bytes, readings.payloads[0].tobytes())
-        return Reading(message.time, int(readings.segments[0]), payload, sequence, readings.bad.get(0, ()))
-
 
 class ShearCodec(Codec):
     """The codec of a 3-axis skin."""
@@ -191,7 +181,7 @@ class ShearCodec(Codec):
     def encode_sheared(
         self, counts: Counts, shear: NDArray[np.float32], sequence: int, time: float
     ) -> list[Message]:
-        """The messages of one frame (N,) and its shear (2, N): the inverse of `decode`, `unpack` and `shear`."""
+        """The messages of one frame (N,) and its shear (2, N): the inverse of `readings`, `unpack` and `shear`."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -252,7 +242,7 @@ class Skin:
         return iter(())
 
 
-class ClassicSkin(Skin, Codec):
+class OrderedSkin(Skin, Codec):
     """A skin that is its own codec: no sequence numbers, `taxels` in a message, all messages in order."""
 
     taxels: int  # in a message; the last may have fewer
@@ -279,6 +269,23 @@ class ClassicSkin(Skin, Codec):
     def stacked(self, payloads: Sequence[bytes | None], length: int) -> NDArray[np.uint8]:
         """The payloads of a frame (segments, length); 0 where one is None."""
         return stacked(payloads, length)
+
+
+class ClassicSkin(MessageCodec, OrderedSkin):
+    """The same, by `decode`."""
+
+
+def read_one(codec: Codec, message: Message) -> Reading:
+    """One message on one of a codec's ids; CodecError where it is malformed."""
+    if isinstance(codec, MessageCodec):
+        return codec.decode(message)
+    readings = codec.readings(Batch.of((message,)))
+    if not readings.good[0]:
+        kind = "CAN FD " if message.fd else ""
+        raise CodecError(f"{kind}message {message.id:#x} of {len(message.data)} bytes is not of this layout")
+    sequence = None if readings.sequences is None else int(readings.sequences[0])
+    payload = cast(bytes, readings.payloads[0].tobytes())
+    return Reading(message.time, int(readings.segments[0]), payload, sequence, readings.bad.get(0, ()))
 
 
 def understands(codec: Codec, messages: Batch | Iterable[Message]) -> bool:

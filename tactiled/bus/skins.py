@@ -18,7 +18,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from tactiled.bus import codecs
 from tactiled.bus.assembler import unpacked
-from tactiled.bus.codec import Codec, Match, ShearCodec, Skin, Traffic
+from tactiled.bus.codec import Codec, Match, ShearCodec, Skin, Traffic, read_one
 from tactiled.bus.redact import redactor, seal, show
 from tactiled.errors import ConfigError, TactileError
 from tactiled.frames import Counts, Message
@@ -163,7 +163,7 @@ def _payloads(codec: Codec, messages: Iterable[Message]) -> list[bytes | None]:
     for message in messages:
         if (message.id, message.extended) not in codec.ids:
             raise ConfigError(f"encode made a message with id {message.id:#x}, which the codec does not list")
-        reading = codec.decode(message)
+        reading = read_one(codec, message)
         if not 0 <= reading.segment < codec.segments:
             raise ConfigError(
                 f"decode gave segment {reading.segment} of message {message.id:#x}: expected 0 to "

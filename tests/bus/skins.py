@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
+from tactiled.bus.codec import read_one
 from tactiled.bus.codecs.barrett import Barrett
 from tactiled.bus.codecs.cyskin import CySkin
 from tactiled.bus.codecs.dbc import Dbc
@@ -71,7 +72,7 @@ def payloads_of(codec, messages):
     """The payloads of a frame in the order of its segments."""
     payloads = [None] * codec.segments
     for each in messages:
-        reading = codec.decode(each)
+        reading = read_one(codec, each)
         payloads[reading.segment] = reading.payload
     return payloads
 

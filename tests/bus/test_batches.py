@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tactiled.bus.batch import Batch
+from tactiled.bus.codec import read_one
 from tactiled.bus.codecs.barrett import Barrett
 from tactiled.bus.codecs.icub import Icub
 from tactiled.bus.codecs.linker import Linker
@@ -131,7 +132,7 @@ def test_a_batch_is_its_messages(codec, seed):
     readings = codec.readings(batch)
     owned = [(each.id, each.extended) in codec.ids for each in messages]
     for at in np.flatnonzero(readings.good & owned).tolist():
-        one = codec.decode(messages[at])
+        one = read_one(codec, messages[at])
         assert (one.time, one.segment, one.bad) == (
             messages[at].time, readings.segments[at], readings.bad.get(at, ())
         )  # fmt: skip

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from tactiled.bus import skins
 from tactiled.bus.assembler import Assembler
-from tactiled.bus.codec import ShearCodec
+from tactiled.bus.codec import ShearCodec, read_one
 from tactiled.bus.codecs.dbc import Dbc
 from tactiled.errors import CodecError, ConfigError
 from tactiled.frames import MISSING, Loss
@@ -27,7 +27,7 @@ def test_decode_inverts_encode_over_the_whole_range(codec, seed):
     counts = np.random.default_rng(seed).integers(0, codec.full_scale + 1, codec.size).astype(np.uint16)
     messages = codec.encode(counts, seed % 700, 1.5)
     assert {(each.id, each.extended) for each in messages} <= codec.ids
-    readings = [codec.decode(each) for each in messages]
+    readings = [read_one(codec, each) for each in messages]
     assert [each.segment for each in readings] == list(range(codec.segments))
     assert {each.sequence for each in readings} == {seed % 700 % codec.modulus if codec.modulus else None}
     assert {(each.time, each.bad) for each in readings} == {(1.5, ())}
@@ -44,7 +44,7 @@ def test_a_malformed_message_is_refused(codec):
     kinds = [good._replace(data=good.data[:-1]), good._replace(data=b""), good._replace(data=bytes(63))]
     for bad in kinds if isinstance(codec, Dbc) else [*kinds, good._replace(fd=not good.fd)]:
         with pytest.raises(CodecError):
-            codec.decode(bad)
+            read_one(codec, bad)
 
 
 @every_codec

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from tactiled.bus.assembler import Assembler
+from tactiled.bus.codec import read_one
 from tactiled.bus.codecs.barrett import Barrett
 from tactiled.bus.codecs.cyskin import CySkin
 from tactiled.bus.codecs.icub import Icub
@@ -53,7 +54,7 @@ def test_genuine_xela_axes_and_shear():
     ],
 )
 def test_xelas_ids(codec, id_, taxel):
-    assert codec.decode(message(f"{id_}#9340003F0C915114")).segment == taxel
+    assert read_one(codec, message(f"{id_}#9340003F0C915114")).segment == taxel
 
 
 @pytest.mark.parametrize(
@@ -140,7 +141,7 @@ def test_thermal_pads_follow_the_skin_type():
     texts = ("424#4000010203040506", "424#C00708090A0B8000", "425#4000010203040506")  # pad 11 of the first is bad
     codec = Icub(2, (4, 5), skin_type=3)
     np.testing.assert_array_equal(codec.references(payloads_of(codec, map(message, texts))), [np.nan, 6, np.nan])
-    assert codec.decode(message("425#C00708090A0B8000")).bad == (20,)
+    assert read_one(codec, message("425#C00708090A0B8000")).bad == (20,)
     assert codec.positions.shape == (21, 2)
 
 
@@ -167,8 +168,8 @@ def test_a_thermal_pad_that_the_board_calls_bad_is_no_reference(code, references
     ],
 )
 def test_icubs_diagnostics_name_faulty_taxels(code, bad):
-    assert Icub(0, (0,)).decode(message(f"400#C0F0F0F0F0F0{code}")).bad == bad
-    assert Icub(0, (1, 0)).decode(message(f"400#C0F0F0F0F0F0{code}")).bad == tuple(10 + each for each in bad)
+    assert read_one(Icub(0, (0,)), message(f"400#C0F0F0F0F0F0{code}")).bad == bad
+    assert read_one(Icub(0, (1, 0)), message(f"400#C0F0F0F0F0F0{code}")).bad == tuple(10 + each for each in bad)
 
 
 @pytest.mark.parametrize(
@@ -194,7 +195,7 @@ def test_icubs_diagnostics_name_faulty_taxels(code, bad):
 )
 def test_another_message_is_refused(codec, text):
     with pytest.raises(CodecError):
-        codec.decode(message(text))
+        read_one(codec, message(text))
 
 
 @pytest.mark.parametrize(("status", "bad"), [(1, ()), (0, tuple(range(72, 144)))])
@@ -202,11 +203,11 @@ def test_an_o20s_finger_is_a_status_and_taxels_in_two_messages(status, bad):
     codec = Linker("right", (1, 2), layout="o20")
     first = Message(0.0, 0x216000, bytes((status, *range(1, 64))), True, True)
     second = Message(0.0, 0x218000, bytes((*range(64, 73), 0, 0, 0)), True, True)
-    assert codec.decode(first).bad == bad
+    assert read_one(codec, first).bad == bad
     assert codec.unpack(payloads_of(codec, (first, second))).tolist() == [0] * 72 + [*range(1, 73)]
     for each in (second._replace(data=second.data[:8]), first._replace(id=0x21A000), first._replace(fd=False)):
         with pytest.raises(CodecError):
-            codec.decode(each)
+            read_one(codec, each)
 
 
 @pytest.mark.parametrize("head", ["3d1001", "3c1000", "3d2000"])
@@ -220,7 +221,7 @@ def test_an_l30s_finger_is_61_taxels_and_11_with_the_hand_as_their_source(head):
     assert codec.unpack(payloads_of(codec, [second, first])).tolist() == [*range(72)]
     assert codec.encode(np.arange(72), 0, 0.0) == [first, second]
     with pytest.raises(CodecError, match=f"begins {head[:2]} {head[2:4]} {head[4:]}"):  # a status, or no such part
-        codec.decode(first._replace(data=bytes.fromhex(head) + bytes(61)))
+        read_one(codec, first._replace(data=bytes.fromhex(head) + bytes(61)))
 
 
 @pytest.mark.parametrize(
@@ -237,7 +238,7 @@ def test_an_omnihands_finger_is_8_x_2_and_mirrored_on_the_left(hand, finger):
     assert codec.unpack(payloads_of(codec, (thumb, back))).tolist() == [*finger, *range(100, 125)]
     for each in (thumb._replace(data=thumb.data[:12]), back._replace(data=back.data[:24])):
         with pytest.raises(CodecError):
-            codec.decode(each)
+            read_one(codec, each)
 
 
 def test_icubs_taxels_have_positions():

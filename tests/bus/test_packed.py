@@ -8,6 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tactiled.bus.codec import read_one
 from tactiled.bus.codecs.packed import Packed
 from tactiled.errors import CodecError, ConfigError
 from tactiled.frames import Message
@@ -28,7 +29,7 @@ def test_the_layout_is_the_one_in_the_guide(bits, fd, size, sequence, seed):
     messages = codec.encode(counts, sequence, 0.0)
     assert len(messages) == codec.segments
     assert [message.data for message in messages] == list(SENDER(counts.tolist(), bits, fd, sequence))
-    np.testing.assert_array_equal(codec.unpack([codec.decode(each).payload for each in messages]), counts)
+    np.testing.assert_array_equal(codec.unpack([read_one(codec, each).payload for each in messages]), counts)
 
 
 def test_golden_bytes():
@@ -53,7 +54,7 @@ def test_golden_bytes():
 )
 def test_a_message_of_another_layout_is_refused(message):
     with pytest.raises(CodecError):
-        Packed(5, bits=12).decode(message)
+        read_one(Packed(5, bits=12), message)
 
 
 @pytest.mark.parametrize(

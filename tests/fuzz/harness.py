@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from tactiled.bus.assembler import Assembler
+from tactiled.bus.codec import read_one
 from tactiled.bus.codecs.barrett import Barrett
 from tactiled.bus.codecs.cyskin import CySkin
 from tactiled.bus.codecs.dbc import Dbc
@@ -95,7 +96,7 @@ def check(name, data):
             frames += assembler.flush(time - 0.05)
             continue
         try:
-            reading = codec.decode(message._replace(time=time))
+            reading = read_one(codec, message._replace(time=time))
         except CodecError:
             continue
         readings.append(reading)

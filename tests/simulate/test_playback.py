@@ -3,6 +3,7 @@ from threading import Event
 import numpy as np
 import pytest
 
+from tactiled.bus.codec import read_one
 from tactiled.bus.codecs.packed import Packed
 from tactiled.bus.codecs.xela import Xela
 from tactiled.calibrate.counts.calibration import Calibration
@@ -24,7 +25,7 @@ def two_messages(sequence, _, now):
 
 
 def payloads(codec, messages):
-    return [codec.decode(each).payload for each in messages]
+    return [read_one(codec, each).payload for each in messages]
 
 
 def packed(scene):
@@ -87,7 +88,7 @@ def test_a_player_encodes_its_scene():
     codec, surface = source.codec, source.surface
     counts = codec.unpack(payloads(codec, source.messages(7, np.pi / 2, 4.5)))
     assert {each.time for each in source.messages(7, 0.0, 4.5)} == {4.5}
-    assert codec.decode(source.messages(7, 0.0, 4.5)[0]).sequence == 7
+    assert read_one(codec, source.messages(7, 0.0, 4.5)[0]).sequence == 7
     sensed = surface.sense(SCENES["sphere"](surface.x, surface.y, np.pi / 2, surface.size, surface.grain))
     np.testing.assert_allclose((counts - 80.0) * 0.05, sensed, atol=0.0251)
     assert 30 < sensed.max() < 100

@@ -15,7 +15,7 @@ import numpy as np
 from pydantic import Field
 
 from tactiled.bounds import FileBeside
-from tactiled.bus.codec import Codec, Skin
+from tactiled.bus.codec import MessageCodec, Skin
 from tactiled.bus.codecs.packed import LENGTHS
 from tactiled.errors import CodecError, ConfigError
 from tactiled.frames import Counts, Message, Reading
@@ -41,7 +41,7 @@ class _Segment:
     taxels: tuple[int, ...]
 
 
-class Dbc(Codec):
+class Dbc(MessageCodec):
     """The signals `names` ("Message.Signal" of every taxel in turn) of a DBC file as one array."""
 
     def __init__(self, file: Path, names: Sequence[str]) -> None:

@@ -17,9 +17,8 @@ from pydantic import Field
 from tactiled.bounds import Bounds
 from tactiled.bus.batch import Batch, Key
 from tactiled.bus.codec import (
-    BatchCodec,
-    ClassicSkin,
     Match,
+    OrderedSkin,
     Readings,
     Traffic,
     missing,
@@ -47,7 +46,7 @@ TRIANGLE_PITCH_MM = 25.0  # between the centres of triangles drawn side by side
 
 
 @dataclass(frozen=True)
-class Icub(BatchCodec, ClassicSkin):
+class Icub(OrderedSkin):
     """iCub MTB board with triangles of 10 or 12 taxels."""
 
     board: Annotated[int, Bounds(0, 15)]

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from tactiled.bounds import Bounds
 from tactiled.bus.assembler import assemble
 from tactiled.bus.batch import Batch, Key
-from tactiled.bus.codec import BatchCodec, Match, Readings, Skin, Traffic, stacked, understands
+from tactiled.bus.codec import Codec, Match, Readings, Skin, Traffic, stacked, understands
 from tactiled.bus.grid_shape import alike_shapes
 from tactiled.core import messages
 from tactiled.errors import ConfigError
@@ -28,7 +28,7 @@ SHAPE_FRAMES = 1000  # looked at for rows and columns
 
 
 @dataclass(frozen=True)
-class Packed(BatchCodec):
+class Packed(Codec):
     """Taxels in row-major order, `bits` each, no taxel split between messages."""
 
     size: int = field()

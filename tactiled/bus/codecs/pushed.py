@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 
 from tactiled.bus.batch import MAX_BYTES, Batch, Key
 from tactiled.bus.codec import (
-    BatchCodec,
     Codec,
     Match,
     Readings,
@@ -34,7 +33,7 @@ MAX_TAXELS = TAXELS << 16
 
 
 @dataclass(frozen=True)
-class Pushed(BatchCodec):
+class Pushed(Codec):
     """The layout of an array of `taxels`; a value that is not finite makes its taxel bad."""
 
     taxels: int

@@ -17,9 +17,8 @@ from pydantic import Field
 from tactiled.bounds import WORD, Bounds, Syntax
 from tactiled.bus.batch import Batch, Key
 from tactiled.bus.codec import (
-    BatchCodec,
-    ClassicSkin,
     Match,
+    OrderedSkin,
     Readings,
     ShearCodec,
     Traffic,
@@ -47,7 +46,7 @@ OLDER_MODELS = {"4x4-old": "XR1944", "4x4-new": "XR1944", "4x6-old": "XR1946"}
 
 
 @dataclass(frozen=True)
-class Xela(BatchCodec, ClassicSkin, ShearCodec):
+class Xela(OrderedSkin, ShearCodec):
     """XELA uSkin, one 3-axis module: the normal axis is the image."""
 
     profile: Profile = "current"
