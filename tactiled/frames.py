@@ -1,11 +1,13 @@
-"""The frozen values that pass from the bus to the browser; none of them owns behaviour."""
+"""The frozen values that pass from the bus to the browser, or to a calibration."""
 
-from dataclasses import dataclass, field
-from typing import Literal, NamedTuple, TypeAlias
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Literal, NamedTuple, Self, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
+from tactiled.arrays import Floats, Floats32
 from tactiled.units import PRESSURE, Unit
 
 MISSING = 1  # the taxel's message did not come
@@ -154,3 +156,17 @@ class Image:
             finite = self.raw[np.isfinite(self.raw)].astype(float)
             noise = max(noise, UNSURE * float(np.median(np.abs(finite))) if finite.size else 0.0)
         return noise * max(self.noise_gain, 1.0)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FrameSeries:
+    """Frames of one array in counts, in the order of their times, as a calibration takes them."""
+
+    times: Floats  # (T,) s, of each frame's first message
+    counts: Floats32  # (T, N); NaN where a taxel is unknown
+
+    def without(self, taxels: Sequence[int]) -> Self:
+        """The same where nothing is known of some taxels."""
+        counts = self.counts.copy()
+        counts[:, list(taxels)] = np.nan
+        return replace(self, counts=counts)

@@ -10,7 +10,7 @@ import pytest
 from tactiled.live.noise import NOISE_FRAMES
 from tactiled.messages import foxglove
 from tactiled.web.rest.drawing import draw
-from tactiled.web.rest.picture import picture
+from tactiled.web.rest.frames import picture
 from tactiled.web.server import running
 from tests.cli.commands import refusal, succeed
 from tests.cli.recordings import CONFIG as RECORDED

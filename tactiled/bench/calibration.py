@@ -30,7 +30,6 @@ from tactiled.bench.presses import (
 from tactiled.bench.results import write_csv
 from tactiled.bench.scenes import TEST_SCENES
 from tactiled.bench.skin import draw, make_skin, nrmse, rms, sense, touches
-from tactiled.calibrate.counts.frame_series import FrameSeries
 from tactiled.calibrate.counts.gain import GainFit, fit_steps
 from tactiled.calibrate.counts.means import Rails
 from tactiled.calibrate.cover.blind import fit_blind
@@ -44,7 +43,7 @@ from tactiled.charts.style import BLACK, BLUE, RED, figure
 from tactiled.cover.family import CoverFamily
 from tactiled.cover.kernel import cached
 from tactiled.cover.stack import Layer, Stack
-from tactiled.frames import DEAD
+from tactiled.frames import DEAD, FrameSeries
 from tactiled.geometry import Array, grid
 from tactiled.restore.blur import Blur
 from tactiled.restore.methods import make

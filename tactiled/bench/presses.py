@@ -11,10 +11,10 @@ import numpy as np
 from scipy.special import j1
 
 from tactiled.arrays import Floats, Ints
-from tactiled.calibrate.counts.frame_series import FrameSeries
 from tactiled.cover.kernel import Kernel, solve
 from tactiled.cover.operator import aperture_mean
 from tactiled.cover.stack import Stack
+from tactiled.frames import FrameSeries
 from tactiled.geometry import Array
 from tactiled.simulate.array import Surface
 from tactiled.simulate.playback import SCENE_S, TOUR

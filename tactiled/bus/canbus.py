@@ -1,4 +1,6 @@
-"""All that the package uses of python-can; no other module imports it."""
+"""All that the package uses of python-can; no other module imports it, or calls its private names."""
+
+import time
 
 from can import VALID_INTERFACES, Bus, BusABC
 from can import Message as CanMessage
@@ -11,5 +13,26 @@ from can.util import channel2int, dlc2len
 
 __all__ = [
     "VALID_INTERFACES", "Bus", "BusABC", "CanMessage", "MessageReader", "MessageWriter", "SlcanBus",
-    "SocketcanBus", "blf", "channel2int", "dlc2len", "formats",
+    "SocketcanBus", "blf", "channel2int", "dlc2len", "filters_in_kernel", "formats", "receive", "unended_line",
 ]  # fmt: skip
+
+
+def receive(bus: BusABC, timeout: float) -> CanMessage | None:
+    """As python-can's `recv`, but by the monotonic clock: python-can's hangs if the wall clock steps back."""
+    end = time.monotonic() + timeout
+    while True:
+        frame, filtered = bus._recv_internal(timeout=max(0.0, end - time.monotonic()))
+        if frame is not None and (filtered or bus._matches_filters(frame)):
+            return frame
+        if time.monotonic() >= end:
+            return None
+
+
+def filters_in_kernel(bus: BusABC) -> bool:
+    """Whether the kernel of SocketCAN passes wanted ids alone, so that python-can need not look at them."""
+    return isinstance(bus, SocketcanBus) and bus._is_filtered
+
+
+def unended_line(bus: BusABC) -> bytearray:
+    """What slcan's driver holds of a line that has not ended; bytes of no effect for other drivers."""
+    return bus._buffer if isinstance(bus, SlcanBus) else bytearray()

@@ -6,7 +6,7 @@ import struct
 from collections.abc import Iterator
 from math import isfinite
 
-from tactiled.bus.canbus import BusABC, CanMessage, SlcanBus
+from tactiled.bus.canbus import BusABC, CanMessage, unended_line
 
 MAX_UNREADABLE_IN_A_ROW = 1000  # without a frame or a silence between; more means that the driver fails
 MAX_LINE_BYTES = 1024  # of a line of slcan without its end; its longest message has 138
@@ -25,7 +25,7 @@ def is_gone(error: Exception, bus: BusABC) -> bool:
 def is_sound(message: CanMessage | None, bus: BusABC) -> bool:
     """Whether a decoded frame is possible: a driver may read a garbled line as a message."""
     if message is None:
-        return not isinstance(bus, SlcanBus) or len(bus._buffer) < MAX_LINE_BYTES
+        return len(unended_line(bus)) < MAX_LINE_BYTES
     id_, dlc = message.arbitration_id, message.dlc
     if type(id_) is not int or type(dlc) is not int or not isfinite(message.timestamp):
         return False
@@ -36,8 +36,7 @@ def is_sound(message: CanMessage | None, bus: BusABC) -> bool:
 
 def skip(bus: BusABC) -> None:
     """Skip bytes that could not be decoded; slcan's driver would read them again."""
-    if isinstance(bus, SlcanBus):
-        bus._buffer.clear()
+    unended_line(bus).clear()
 
 
 def _causes(error: BaseException | None) -> Iterator[BaseException]:

@@ -12,11 +12,21 @@ from typing import Any
 
 import numpy as np
 
-from tactiled.bus import driver_errors, error_frames
+from tactiled.bus import driver_errors
 from tactiled.bus.batch import EXTENDED, Batch
-from tactiled.bus.canbus import VALID_INTERFACES, Bus, BusABC, CanMessage, SocketcanBus
+from tactiled.bus.canbus import VALID_INTERFACES, Bus, BusABC, CanMessage, SocketcanBus, filters_in_kernel, receive
 from tactiled.bus.redact import HARMLESS, redactor, reveal, seal
-from tactiled.bus.socketcan import ERROR, GATHER_S, REMOTE, FrameReader
+from tactiled.bus.socketcan import (
+    BUS_OFF,
+    ERROR,
+    GATHER_S,
+    KINDS,
+    OTHER,
+    REMOTE,
+    RESTARTED,
+    FrameReader,
+    error_kinds,
+)
 from tactiled.errors import BusError
 from tactiled.frames import Message
 
@@ -48,7 +58,7 @@ class Reader:
         self._bus, self.label, self._redact = bus, label, redact
         self._socket = _socket(bus)
         self._frames: FrameReader | None = None  # faster; it does not know the filters of python-can itself
-        if self._socket and isinstance(bus, SocketcanBus) and bus._is_filtered:
+        if self._socket and filters_in_kernel(bus):
             self._frames = FrameReader(self._socket.fileno()) if FrameReader.supported(self._socket) else None
         self._waiting: deque[Message] = deque()  # taken from the bus, not yet received
         self._dropped = 0  # messages, when last counted
@@ -57,7 +67,7 @@ class Reader:
         self.unsent = 0  # messages to skins that the bus did not take
         self.unreadable = 0  # what came and could not be decoded
         self._unreadable_in_a_row = 0  # without a frame or a silence between
-        self.kinds = dict.fromkeys(error_frames.KINDS, 0)  # of error frames; never grows: threads read it
+        self.kinds = dict.fromkeys(KINDS, 0)  # of error frames; never grows: threads read it
         self.off: str | None = None  # that it is off the bus now, and what to do
 
     @property
@@ -72,7 +82,7 @@ class Reader:
         use it instead of them, not beside them.
         """
         try:
-            frame = self._recv(timeout)
+            frame = receive(self._bus, timeout)
             if driver_errors.is_sound(frame, self._bus):
                 self._unreadable_in_a_row = 0
                 return frame
@@ -84,16 +94,6 @@ class Reader:
         self.unreadable += 1
         self._unreadable_in_a_row += 1
         return None
-
-    def _recv(self, timeout: float) -> CanMessage | None:
-        """As python-can's `recv`, but by the monotonic clock: python-can's hangs if the wall clock steps back."""
-        end = time.monotonic() + timeout
-        while True:
-            frame, filtered = self._bus._recv_internal(timeout=max(0.0, end - time.monotonic()))
-            if frame is not None and (filtered or self._bus._matches_filters(frame)):
-                return frame
-            if time.monotonic() >= end:
-                return None
 
     def receive(self, timeout: float) -> Message | None:
         """The next data frame, or None after `timeout` (s); BusError where the bus is gone."""
@@ -164,7 +164,7 @@ class Reader:
             self._bus.set_filters(filters)  # type: ignore[arg-type]
         except Exception as error:  # a driver raises what it likes
             raise _bus_error(error, self.label, self._redact) from error
-        if isinstance(self._bus, SocketcanBus) and not self._bus._is_filtered:
+        if not filters_in_kernel(self._bus):
             self._frames = None
 
     def _count_special(self, id_: int, data: bytes, error: bool) -> None:
@@ -174,12 +174,12 @@ class Reader:
             return
         self.errors += 1
         socketcan = isinstance(self._bus, SocketcanBus)
-        kinds = error_frames.kinds(id_, data) if socketcan else (error_frames.OTHER,)
+        kinds = error_kinds(id_, data) if socketcan else (OTHER,)
         for kind in kinds:
             self.kinds[kind] += 1
-        if error_frames.BUS_OFF in kinds:
+        if BUS_OFF in kinds:
             self.off = f"bus {self.label}: {BUS_OFF_HINT}"
-        elif error_frames.RESTARTED in kinds:
+        elif RESTARTED in kinds:
             self.off = None
 
     @property
@@ -196,7 +196,7 @@ class Reader:
         return {
             "dropped": self.dropped,
             "errors": self.errors,
-            "bus_off": self.kinds[error_frames.BUS_OFF],
+            "bus_off": self.kinds[BUS_OFF],
             "unsent": self.unsent,
             "unreadable": self.unreadable,
         }

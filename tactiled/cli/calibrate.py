@@ -23,12 +23,12 @@ from tactiled.config import schema
 from tactiled.errors import ConfigError
 from tactiled.files import sha256
 from tactiled.geometry import Array
-from tactiled.recorded.counts import read_frame_series
+from tactiled.recorded.offline import read_frame_series
 from tactiled.units import number_text
 
 if TYPE_CHECKING:
-    from tactiled.calibrate.counts.frame_series import FrameSeries
     from tactiled.calibrate.counts.gain import GainFit
+    from tactiled.frames import FrameSeries
 
 MAX_DEAD_LISTED = 12
 Out = Annotated[Path, typer.Option("--out", "-o", help="Calibration file to write, or to bring up to date.")]

@@ -22,7 +22,7 @@ from tactiled.cli.calibrate import Out, made_from, matching, update
 from tactiled.config import schema
 from tactiled.cover.stack import Stack
 from tactiled.errors import ConfigError
-from tactiled.recorded.counts import read_frame_series
+from tactiled.recorded.offline import read_frame_series
 
 
 def cover(

@@ -12,7 +12,7 @@ from tactiled.calibrate.cover.recorded_presses import noise_of, pressures
 from tactiled.calibrate.upkeep.taxel_map import Direction, check_map
 from tactiled.cli import options
 from tactiled.errors import ConfigError
-from tactiled.recorded.counts import read_frame_series
+from tactiled.recorded.offline import read_frame_series
 
 UNLOADED_PERCENTILE = 10  # of what a taxel reads: a finger that rolls over all is on each of them for a short time
 EXIT_DOUBTED = 1  # as of `tactiled check`

@@ -12,7 +12,7 @@ from threadpoolctl import threadpool_limits
 from tactiled.build import SensorPlan
 from tactiled.cli import options
 from tactiled.cli.sniff import listen, survey_lines
-from tactiled.config import Config, load, tls
+from tactiled.config import Config, load, tls_context
 from tactiled.cover.summary import CoverSummary, summarise
 from tactiled.live.service import Service
 from tactiled.live.state import StateFile
@@ -40,7 +40,7 @@ def check(
     _print(findings)  # before covers are solved: a wrong value may make that impossible
     with threadpool_limits(1):
         service = prepared(config)
-    tls.context(service.config.server)
+    tls_context(service.config.server)
     if service.config.server.foxglove is not None:
         need("server.foxglove")
     for sensor in service.sensors.values():

@@ -1,9 +1,19 @@
 """The configuration file: what it may hold, and how it is read."""
 
-from tactiled.config.load import Buses, classic, load, load_buses, load_served, parse, ros_name, validated
+from tactiled.config.load import (
+    Buses,
+    classic,
+    load,
+    load_buses,
+    load_served,
+    parse,
+    ros_name,
+    tls_context,
+    validated,
+)
 from tactiled.config.schema import Config, Sensor, Served, Server, Zenoh
 
 __all__ = [
     "Buses", "Config", "Sensor", "Served", "Server", "Zenoh", "classic", "load", "load_buses", "load_served",
-    "parse", "ros_name", "validated",
+    "parse", "ros_name", "tls_context", "validated",
 ]  # fmt: skip

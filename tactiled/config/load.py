@@ -2,6 +2,7 @@
 
 import difflib
 import re
+import ssl
 import tomllib
 from collections.abc import Iterator, Sequence
 from dataclasses import fields
@@ -17,8 +18,7 @@ from tactiled.bounds import Name
 from tactiled.bus import skins
 from tactiled.bus.redact import Secret, seal, show
 from tactiled.config import schema
-from tactiled.config.schema import Bus, Config, Served
-from tactiled.config.section import Section
+from tactiled.config.schema import Bus, Config, Section, Served
 from tactiled.errors import ConfigError
 
 Model = TypeVar("Model", bound=BaseModel)
@@ -202,3 +202,24 @@ def ros_name(name: str) -> str:
 def classic(bus: Bus) -> bool:
     """Whether a bus carries no CAN FD, as far as its settings tell."""
     return bus.interface in FD_ON_REQUEST and not bus.settings().get("fd")
+
+
+def tls_context(at: schema.Server) -> ssl.SSLContext | None:
+    """The certificate and its key, ready for connections; None where none is configured.
+
+    ConfigError where a file cannot be read or the two are no pair.
+    """
+    if at.tls_certificate is None or at.tls_key is None:
+        return None
+    for path in (at.tls_certificate, at.tls_key):
+        try:
+            path.open("rb").close()
+        except OSError as error:
+            why = f"{path}: {error.strerror}"
+            raise ConfigError(f"{why}: give the PEM files of tls_certificate and tls_key") from error
+    made = ssl.create_default_context(ssl.Purpose.CLIENT_AUTH)
+    try:
+        made.load_cert_chain(at.tls_certificate, at.tls_key)
+    except OSError as error:  # also what OpenSSL has to say
+        raise ConfigError(f"{at.tls_certificate}, {at.tls_key}: {error.strerror}: no PEM pair") from error
+    return made

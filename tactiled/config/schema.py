@@ -13,7 +13,9 @@ from pydantic import (
     ConfigDict,
     Field,
     InstanceOf,
+    PlainSerializer,
     SecretStr,
+    SerializationInfo,
     ValidationInfo,
     ValidatorFunctionWrapHandler,
     WithJsonSchema,
@@ -26,8 +28,7 @@ from tactiled import bounds
 from tactiled.bounds import Bounds, Counts, Endpoint, FileBeside, FrameId, Key, Name, Pitch, Place, Port, Prefix
 from tactiled.bus import skins
 from tactiled.bus.codec import Skin
-from tactiled.bus.redact import HARMLESS, reveal, seal
-from tactiled.config.section import Redacted, Section
+from tactiled.bus.redact import HARMLESS, reveal, seal, show
 from tactiled.units import FORCE, LENGTH, PRESSURE, STIFFNESS
 
 Quaternion: TypeAlias = tuple[float, float, float, float]
@@ -51,6 +52,20 @@ def _check_token(token: SecretStr) -> SecretStr:
 
 
 Token = Annotated[SecretStr, Field(min_length=16, max_length=200), AfterValidator(_check_token)]
+
+
+class Section(BaseModel):
+    """A table of the file: refuses a key that it does not know. The text below a key describes it in the guide."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
+
+
+def _serialize(value: Any, info: SerializationInfo) -> Any:
+    """As it may be printed, in JSON; as it is, Secrets included, in Python."""
+    return show(value) if info.mode == "json" else value
+
+
+Redacted = PlainSerializer(_serialize)
 
 
 class Server(Section):

@@ -5,14 +5,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tactiled.calibrate.calibration_file import CalibrationFile
-from tactiled.calibrate.counts.frame_series import FrameSeries
 from tactiled.calibrate.cover.fit import CoverFit, Method
 from tactiled.calibrate.sections import CoverSection
 from tactiled.cover.stack import Stack
 from tactiled.errors import CalibrationStateError
-from tactiled.guided.frame_collector import FrameCollector
+from tactiled.frames import FrameSeries
+from tactiled.guided.frame_collector import FrameCollector, origin, with_sections
 from tactiled.guided.live_presses import LiveContact, LivePresses
-from tactiled.guided.live_sections import origin, with_sections
 from tactiled.guided.quality import Need, Quality, advice, enough, zone_counts
 from tactiled.live.sensor import Sensor
 from tactiled.processes import FitProcess

@@ -1,13 +1,19 @@
 """Frames of one sensor in counts, collected as they come, with bounded memory."""
 
+import time
+
 import numpy as np
 
 from tactiled.arrays import Floats32
-from tactiled.calibrate.counts.frame_series import FrameSeries
-from tactiled.frames import BAD, MISSING, RawFrame
+from tactiled.build import SensorPlan
+from tactiled.calibrate import calibration_file
+from tactiled.calibrate.calibration_file import CalibrationFile
+from tactiled.calibrate.sections import Origin, Section, utc
+from tactiled.frames import BAD, MISSING, FrameSeries, RawFrame
 
 MAX_S = 120.0  # of frames that are collected: time for 20 presses of 5 s each
 MAX_BYTES = 64 << 20  # of them: 120 s of 32 x 32 taxels at 100 Hz are 49 MB
+LIVE = "live"  # the recording of frames that came from a bus
 
 
 class FrameCollector:
@@ -53,3 +59,13 @@ class FrameCollector:
         return FrameSeries(
             times[len(times) - len(counts) :], np.array(counts, np.float32).reshape(-1, self._taxels)
         )
+
+
+def with_sections(plan: SensorPlan, **sections: Section) -> CalibrationFile:
+    """A sensor's calibration file, or a first one, with these sections."""
+    return calibration_file.with_sections(plan.file, plan.name, plan.codec_name, plan.array.size, **sections)
+
+
+def origin(method: str) -> Origin:
+    """Of a section made now."""
+    return Origin(recording=LIVE, method=method, created=utc(time.time()))

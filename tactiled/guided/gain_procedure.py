@@ -10,13 +10,12 @@ from tactiled.arrays import Floats
 from tactiled.build import SensorPlan
 from tactiled.calibrate.calibration_file import CalibrationFile
 from tactiled.calibrate.counts.curves import Curves
-from tactiled.calibrate.counts.frame_series import FrameSeries
 from tactiled.calibrate.counts.means import Rails
 from tactiled.calibrate.counts.plateaus import noise
 from tactiled.calibrate.sections import gain_sections
 from tactiled.errors import CalibrationStateError, ConfigError
-from tactiled.guided.frame_collector import FrameCollector
-from tactiled.guided.live_sections import origin, with_sections
+from tactiled.frames import FrameSeries
+from tactiled.guided.frame_collector import FrameCollector, origin, with_sections
 from tactiled.guided.quality import Need, Quality, advice, enough, zone_counts
 from tactiled.live.sensor import Sensor
 from tactiled.processes import FitProcess

@@ -3,7 +3,6 @@
 import numpy as np
 
 from tactiled.arrays import Floats32, Mask
-from tactiled.calibrate.counts.frame_series import FrameSeries
 from tactiled.calibrate.cover.presses import (
     MAX_UNLOADED_FRAMES,
     SETTLING_FRAMES,
@@ -12,7 +11,7 @@ from tactiled.calibrate.cover.presses import (
     find_presses,
 )
 from tactiled.errors import ConfigError
-from tactiled.frames import MISSING, SATURATED
+from tactiled.frames import MISSING, SATURATED, FrameSeries
 from tactiled.guided.frame_collector import FrameCollector
 from tactiled.live.sensor import Sensor
 from tactiled.restore.noise import detection_threshold

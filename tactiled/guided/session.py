@@ -5,9 +5,8 @@ import time
 from collections.abc import Callable
 from typing import Literal
 
-from tactiled.calibrate.counts.frame_series import FrameSeries
 from tactiled.errors import CalibrationStateError, TactileError
-from tactiled.frames import RawFrame
+from tactiled.frames import FrameSeries, RawFrame
 from tactiled.guided.cover_procedure import CoverOutcome, CoverProcedure
 from tactiled.guided.frame_collector import FrameCollector
 from tactiled.guided.gain_procedure import GainOutcome, GainProcedure

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactiled.bus.error_frames import KINDS
+from tactiled.bus.socketcan import KINDS
 from tactiled.calibrate.upkeep.drift import DriftState
 from tactiled.calibrate.upkeep.health import RULES, Fault
 from tactiled.contacts.detection import Contact

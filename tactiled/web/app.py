@@ -10,6 +10,7 @@ from fastapi.responses import FileResponse
 from fastapi.staticfiles import StaticFiles
 from starlette.concurrency import run_in_threadpool
 from starlette.middleware.gzip import DEFAULT_EXCLUDED_CONTENT_TYPES, GZipMiddleware
+from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from tactiled import __version__
 from tactiled.config import Server
@@ -17,7 +18,6 @@ from tactiled.guided.calibrations import GuidedCalibrations
 from tactiled.processes import SideProcess
 from tactiled.web.bridge import Bridge
 from tactiled.web.http.auth import AccessControl, Tokens
-from tactiled.web.http.head import Head
 from tactiled.web.http.limits import ConcurrencyLimit, RateLimit, Turns
 from tactiled.web.http.problems import install
 from tactiled.web.rest import (
@@ -147,3 +147,28 @@ def _add_pages(app: FastAPI) -> None:
     app.add_route("/docs", page("docs.html"), include_in_schema=False)
     app.mount("/static/swagger", StaticFiles(packages=[API_PAGE_FILES]), name="swagger")
     app.mount("/static", StaticFiles(directory=STATIC), name="static")
+
+
+class Head:
+    """Answers HEAD as GET, without the body (RFC 9110, 9.1); FastAPI answers 405 (fastapi/fastapi#1773)."""
+
+    def __init__(self, app: ASGIApp) -> None:
+        self._app = app
+
+    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+        """Serve one connection."""
+        if scope["type"] != "http" or scope["method"] != "HEAD":
+            await self._app(scope, receive, send)
+            return
+        ended = False
+
+        async def send_without_body(message: Message) -> None:
+            nonlocal ended
+            if message["type"] != "http.response.body":
+                await send(message)
+            elif not ended:  # the server then reports a disconnection, at which no more of a file is read
+                ended = True
+                await send({"type": "http.response.body"})
+
+        headers = [each for each in scope["headers"] if each[0] != b"range"]  # RFC 9110, 14.2: GET only
+        await self._app({**scope, "method": "GET", "headers": headers}, receive, send_without_body)

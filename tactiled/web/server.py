@@ -16,7 +16,7 @@ import uvicorn
 from fastapi import FastAPI
 
 from tactiled import logs, systemd
-from tactiled.config import Server, tls
+from tactiled.config import Server, tls_context
 from tactiled.errors import TactileError
 from tactiled.web.app import create
 from tactiled.web.bridge import Bridge, Host
@@ -91,7 +91,7 @@ def _address(config: Server) -> tuple[socket.AddressFamily, socket.SocketKind, t
 def _renew(certified: "partial[Connection]", config: Server, before: list[bytes]) -> str | None:
     """Take TLS's files as they are now; gives the certificate's name if it is another than `before`."""
     assert config.tls_certificate is not None
-    certified.keywords.update(tls=tls.context(config))
+    certified.keywords.update(tls=tls_context(config))
     former, before[0] = before[0], config.tls_certificate.read_bytes()
     return config.tls_certificate.name if before[0] != former else None
 
@@ -120,7 +120,7 @@ def _server(app: FastAPI, config: Server, supervisor: "Watchdog | None" = None) 
 
     sys.setswitchinterval(SWITCH_INTERVAL_S)
     app.state.places = Places(limit(config.streams))
-    certified = partial(Connection, places=app.state.places, tls=tls.context(config))
+    certified = partial(Connection, places=app.state.places, tls=tls_context(config))
     if config.tls_certificate:
         app.state.service.renew_tls = partial(_renew, certified, config, [config.tls_certificate.read_bytes()])
     server = _Server(

@@ -11,13 +11,13 @@ from tactiled.bench.results import machine
 from tactiled.bench.skin import rms
 from tactiled.calibrate.counts.calibration import Calibration
 from tactiled.calibrate.counts.curves import Curves
-from tactiled.calibrate.counts.frame_series import FrameSeries
 from tactiled.calibrate.cover.fit import CoverFit
 from tactiled.calibrate.cover.recorded_touch import RecordedTouch, fit_touch
 from tactiled.cli.bench import print_table
 from tactiled.cover.kernel import solve
 from tactiled.cover.stack import Layer, Stack
 from tactiled.errors import ConfigError
+from tactiled.frames import FrameSeries
 from tactiled.geometry import grid
 from tactiled.simulate.array import Surface
 from tests.bench.held_out_scenes import ALL as HELD_OUT

@@ -18,7 +18,7 @@ from tactiled.calibrate.upkeep.monitor import SkinMonitor
 from tactiled.cli.bench import print_table
 from tactiled.config import load
 from tactiled.frames import Loss, RawFrame
-from tactiled.recorded.counts import read_frame_series
+from tactiled.recorded.offline import read_frame_series
 from tactiled.restore.noise import MAD_TO_SIGMA
 from tactiled.simulate.array import Surface
 from tactiled.simulate.playback import SCENE_S, TOUR

@@ -11,11 +11,11 @@ from scipy.io import loadmat
 from scipy.signal import lfilter
 
 from tactiled.calibrate.counts.calibration import Calibration, Calibrator
-from tactiled.calibrate.counts.frame_series import FrameSeries
 from tactiled.calibrate.counts.gain import fit_pressure
 from tactiled.calibrate.counts.means import Rails
 from tactiled.calibrate.counts.reference import Reference
 from tactiled.cli.bench import print_table
+from tactiled.frames import FrameSeries
 
 KPA_PER_BAR = 100.0
 MAX_STEP_KPA = 5.0  # of the chamber's sensor from frame to frame: more is a spike

@@ -1,6 +1,6 @@
 import pytest
 
-from tactiled.bus.error_frames import KINDS, kinds
+from tactiled.bus.socketcan import KINDS, error_kinds
 
 # Bits of linux/can/error.h: of the id, and of byte 1 of the data.
 CLASSES = {
@@ -28,7 +28,7 @@ def data(state):
         (0x2AC, data(0x28), {"tx_warning", "tx_passive", "protocol", "no_ack", "bus_error"}),
     ],
 )
-def test_an_error_frame_has_its_kinds(id_, data, expected):
-    assert set(kinds(id_, data)) == expected
+def test_an_error_frame_has_its_error_kinds(id_, data, expected):
+    assert set(error_kinds(id_, data)) == expected
     assert expected <= set(KINDS)
     assert len(KINDS) == len(set(KINDS)) == 17

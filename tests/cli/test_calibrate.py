@@ -8,7 +8,7 @@ from tactiled.calibrate import calibration_file
 from tactiled.calibrate.counts.plateaus import response
 from tactiled.config import load
 from tactiled.geometry import grid
-from tactiled.recorded.counts import read_frame_series
+from tactiled.recorded.offline import read_frame_series
 from tests.calibrate.counts.skins import Skin, contact, steps
 from tests.cli.commands import refusal, succeed
 from tests.cli.recordings import CODEC, CONFIG, write

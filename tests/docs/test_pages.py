@@ -8,7 +8,7 @@ from urllib.parse import unquote
 
 import pytest
 
-from tactiled.bus.error_frames import KINDS
+from tactiled.bus.socketcan import KINDS
 from tactiled.config import parse
 from tactiled.diagnostics.warning_codes import TEXTS, warning
 from tactiled.frames import Loss

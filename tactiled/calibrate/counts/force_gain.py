@@ -18,12 +18,12 @@ from scipy.special import stdtrit
 from tactiled.arrays import Floats, Mask
 from tactiled.calibrate.counts.curve_fit import CurveFit, Points, choose_form, fit, hysteresis
 from tactiled.calibrate.counts.curves import Form, unit_curves
-from tactiled.calibrate.counts.frame_series import FrameSeries
 from tactiled.calibrate.counts.gain import GainFit, assembled, check_pressure, log_points, require_press
 from tactiled.calibrate.counts.means import Means, Rails, mean_counts, require_response, unknown_taxels
 from tactiled.calibrate.counts.plateaus import plateaus, response
 from tactiled.calibrate.counts.reference import Reference, align
 from tactiled.errors import ConfigError
+from tactiled.frames import FrameSeries
 from tactiled.geometry import Array, raster, tiling
 from tactiled.restore.blur import Blur
 from tactiled.restore.noise import NORMAL_95

@@ -10,7 +10,6 @@ import numpy as np
 from tactiled.arrays import Floats, Ints, Mask
 from tactiled.calibrate.counts.curve_fit import Points, choose_form, fit, hysteresis
 from tactiled.calibrate.counts.curves import KNOTS, Curves, Form
-from tactiled.calibrate.counts.frame_series import FrameSeries
 from tactiled.calibrate.counts.gain_error import (
     CREEP_SHARE,
     MIN_NOTED,
@@ -33,6 +32,7 @@ from tactiled.calibrate.counts.means import (
 from tactiled.calibrate.counts.plateaus import Plateau, noise, plateaus, response
 from tactiled.calibrate.counts.reference import Alignment, Reference, align, resampled
 from tactiled.errors import ConfigError
+from tactiled.frames import FrameSeries
 from tactiled.geometry import Array
 from tactiled.units import number_text
 

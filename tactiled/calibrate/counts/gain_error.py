@@ -9,8 +9,8 @@ from scipy.special import fdtrc
 from tactiled.arrays import Floats, Ints
 from tactiled.calibrate.counts.curve_fit import FREE, Points, fit, value
 from tactiled.calibrate.counts.curves import Form
-from tactiled.calibrate.counts.frame_series import FrameSeries
 from tactiled.calibrate.counts.plateaus import Plateau, response
+from tactiled.frames import FrameSeries
 from tactiled.geometry import Array, tiling
 
 MIN_REVERSAL = 0.05  # of the largest pressure: less is no branch of its own

@@ -9,8 +9,8 @@ import numpy as np
 from tactiled.arrays import Floats, Ints, Mask
 from tactiled.calibrate.counts.curve_fit import FREE, Points, fit, least_squares, value
 from tactiled.calibrate.counts.curves import Form
-from tactiled.calibrate.counts.frame_series import FrameSeries
 from tactiled.calibrate.counts.hysteresis import Loop, Plays
+from tactiled.frames import FrameSeries
 
 HALF_WIDTHS = (0.0, 0.025, 0.05, 0.1, 0.2)  # of plays, relative counts
 FOLDS = 10  # pieces of time, left out in turn

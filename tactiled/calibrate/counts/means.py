@@ -8,9 +8,9 @@ from warnings import catch_warnings, simplefilter
 import numpy as np
 
 from tactiled.arrays import Floats, Floats32, Mask
-from tactiled.calibrate.counts.frame_series import FrameSeries
 from tactiled.calibrate.counts.plateaus import START_FRAMES, noise
 from tactiled.errors import ConfigError
+from tactiled.frames import FrameSeries
 
 MIN_RESPONSE_SIGMAS = 20.0  # of the median taxel's largest mean: less leaves over 5 % of error
 DEAD_BELOW = 0.05  # of the median taxel's response

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tactiled.arrays import Floats, Reals
-from tactiled.calibrate.counts.frame_series import FrameSeries
+from tactiled.frames import FrameSeries
 from tactiled.restore.noise import MAD_TO_SIGMA, bends
 
 START_FRAMES = 10  # whose median is the first guess of no load

@@ -6,13 +6,12 @@ import numpy as np
 
 from tactiled.arrays import Floats, Mask, Reals
 from tactiled.calibrate.counts.calibration import Calibration, Calibrator
-from tactiled.calibrate.counts.frame_series import FrameSeries
 from tactiled.calibrate.counts.means import unknown_taxels
 from tactiled.calibrate.counts.plateaus import noise as taxel_noise
 from tactiled.calibrate.cover.presses import MIN_PEAK, Press, find_presses
 from tactiled.calibrate.upkeep.health import NOISY_RATIO, opposite_pairs
 from tactiled.errors import ConfigError
-from tactiled.frames import SATURATED
+from tactiled.frames import SATURATED, FrameSeries
 from tactiled.geometry import Array
 from tactiled.restore.noise import estimate
 from tactiled.units import number_text

@@ -6,7 +6,6 @@ import numpy as np
 
 from tactiled.arrays import Floats
 from tactiled.calibrate.counts.calibration import Calibration
-from tactiled.calibrate.counts.frame_series import FrameSeries
 from tactiled.calibrate.cover.blind import fit_blind
 from tactiled.calibrate.cover.edge import edge_touch
 from tactiled.calibrate.cover.fit import CoverFit, Method
@@ -24,6 +23,7 @@ from tactiled.calibrate.cover.tip import Tip, tip_touch
 from tactiled.calibrate.cover.unknowns import CALIPER_ERROR_MM, USUAL, Unknowns
 from tactiled.cover.family import CoverFamily
 from tactiled.cover.stack import Stack
+from tactiled.frames import FrameSeries
 from tactiled.geometry import Array
 
 

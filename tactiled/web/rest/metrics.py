@@ -12,7 +12,7 @@ from prometheus_client.metrics_core import CounterMetricFamily as Counter
 from prometheus_client.metrics_core import GaugeMetricFamily as Gauge
 from prometheus_client.metrics_core import Metric
 
-from tactiled.bus.error_frames import KINDS
+from tactiled.bus.socketcan import KINDS
 from tactiled.live.health import State
 from tactiled.live.sensor import Sensor
 from tactiled.live.timings import BOUNDS_S, Histogram

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from tactiled.calibrate.counts.frame_series import FrameSeries
+from tactiled.frames import FrameSeries
 
 RATE_HZ = 100.0
 FULL_KPA, FULL_COUNTS = 60.0, 3000.0

@@ -4,11 +4,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tactiled.calibrate.counts.frame_series import FrameSeries
 from tactiled.calibrate.counts.gain import fit_pressure, fit_steps
 from tactiled.calibrate.counts.means import Rails
 from tactiled.calibrate.counts.reference import Reference
 from tactiled.errors import ConfigError
+from tactiled.frames import FrameSeries
 from tactiled.geometry import grid, tiling
 from tests.calibrate.counts.skins import FULL_KPA, RATE_HZ, SHAPES, Skin, steps
 

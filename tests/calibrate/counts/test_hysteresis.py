@@ -3,12 +3,11 @@ import pytest
 
 from tactiled.calibrate.counts.calibration import Calibration, Calibrator
 from tactiled.calibrate.counts.curves import Curves
-from tactiled.calibrate.counts.frame_series import FrameSeries
 from tactiled.calibrate.counts.gain import fit_pressure, fit_steps
 from tactiled.calibrate.counts.hysteresis import Loop, LoopFollower
 from tactiled.calibrate.counts.means import Rails
 from tactiled.errors import ConfigError
-from tactiled.frames import MISSING
+from tactiled.frames import MISSING, FrameSeries
 from tests.calibrate.counts.skins import FULL_KPA, Skin, steps
 from tests.calibrate.counts.test_gain import pressure_log
 

@@ -5,7 +5,6 @@ import pytest
 
 from tactiled.bench.presses import Disc, press_series, simulated_skin
 from tactiled.calibrate.counts.calibration import Calibration
-from tactiled.calibrate.counts.frame_series import FrameSeries
 from tactiled.calibrate.cover import blind, deblur
 from tactiled.calibrate.cover.blind import (
     LOG_FACTORS,
@@ -22,6 +21,7 @@ from tactiled.calibrate.cover.recorded_touch import RecordedTouch, fit_touch
 from tactiled.cover.family import CoverFamily
 from tactiled.cover.operator import stencil
 from tactiled.cover.stack import Layer, Stack
+from tactiled.frames import FrameSeries
 from tactiled.geometry import grid, layout
 from tactiled.simulate.array import Surface
 from tactiled.simulate.scenes import SCENES

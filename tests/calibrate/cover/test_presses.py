@@ -2,10 +2,10 @@ import numpy as np
 import pytest
 
 from tactiled.calibrate.counts.calibration import Calibration
-from tactiled.calibrate.counts.frame_series import FrameSeries
 from tactiled.calibrate.cover.presses import _ceiling, find_presses
 from tactiled.calibrate.cover.recorded_presses import recorded_presses
 from tactiled.errors import ConfigError
+from tactiled.frames import FrameSeries
 from tactiled.geometry import grid
 from tests.touched import World, recorded, rubber
 

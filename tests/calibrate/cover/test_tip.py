@@ -8,7 +8,6 @@ import pytest
 
 from tactiled.calibrate.counts.calibration import Calibration
 from tactiled.calibrate.counts.curves import Curves
-from tactiled.calibrate.counts.frame_series import FrameSeries
 from tactiled.calibrate.cover import recorded_touch
 from tactiled.calibrate.cover.recorded_presses import without_dead
 from tactiled.calibrate.cover.recorded_touch import RecordedTouch, fit_touch
@@ -16,6 +15,7 @@ from tactiled.calibrate.cover.result import ENDS, _reason, fit_cover
 from tactiled.calibrate.cover.tip import Tip, tip_touch
 from tactiled.calibrate.cover.unknowns import Unknowns
 from tactiled.errors import ConfigError
+from tactiled.frames import FrameSeries
 from tactiled.geometry import grid, layout
 from tests.touched import Skin, World, recorded, rubber
 

@@ -4,7 +4,7 @@ import can
 import pytest
 from prometheus_client.parser import text_string_to_metric_families
 
-from tactiled.bus.error_frames import KINDS
+from tactiled.bus.socketcan import KINDS
 from tactiled.live.timings import Histogram
 from tactiled.web.http.connection_limit import Places
 from tactiled.web.http.limits import ConcurrencyLimit

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from tactiled.web.rest import drawing
-from tactiled.web.rest.picture import picture
+from tactiled.web.rest.frames import picture
 from tests.conftest import NO_LOAD, SIDE, meanwhile, pressed, until
 from tests.viewer.conftest import THUMB, Pair
 

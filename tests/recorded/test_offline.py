@@ -3,7 +3,7 @@ import pytest
 
 from tactiled.config import load
 from tactiled.errors import ConfigError
-from tactiled.recorded.counts import read_frame_series
+from tactiled.recorded.offline import read_frame_series
 from tests.cli.recordings import CODEC, CONFIG, FRAMES, counts, traffic, write
 
 

@@ -1,0 +1,21 @@
+"""The private names of python-can, held against the version that is installed."""
+
+import inspect
+
+from can.interfaces.socketcan import SocketcanBus
+
+from tactiled.bus.canbus import Bus, CanMessage, filters_in_kernel, receive
+
+
+def test_receive_gives_what_the_filters_pass_and_nothing_after_its_time(request):
+    only = [{"can_id": 0x100, "can_mask": 0x7FF, "extended": False}]
+    with (
+        Bus(interface="virtual", channel=request.node.name, can_filters=only) as bus,
+        Bus(interface="virtual", channel=request.node.name) as sender,
+    ):
+        for id_ in (0x101, 0x100):
+            sender.send(CanMessage(arbitration_id=id_, is_extended_id=False))
+        assert receive(bus, 5.0).arbitration_id == 0x100
+        assert receive(bus, 0.01) is None
+        assert not filters_in_kernel(bus)
+        assert "self._is_filtered = " in inspect.getsource(SocketcanBus)
