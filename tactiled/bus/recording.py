@@ -33,6 +33,7 @@ MAX_TIME_S = 1 << 32  # Unix time in 2106: no message is younger, and Foxglove's
 MAX_PAUSE_S = 10.0  # longest pause that is played; a longer one is shortened
 MAX_BACK_S = 1.0  # more than messages of several buses are out of order by; so much is played of a step back
 END_CUT = "its end is cut off"
+FD_LOST = "its format does not tell CAN FD: all messages of an id that has longer ones than 8 bytes count as such"
 MAX_MESSAGES, MAX_MESSAGES_PER_BYTE = 1000, 4  # of a file; gzip needs 2.5 bytes for one that says nothing new
 CPU_S, BYTES_PER_CPU_S = 2.0, 10e6  # without a message; what the slowest format and machine read in a second
 MAX_REASON_CHARACTERS = 300  # of a reader, which may quote a whole line
@@ -89,6 +90,7 @@ def read(path: Path, ids: frozenset[Key] = frozenset(), remarks: Remarks | None 
     """
     count, channels = 0, dict[Key, str]()
     remarks = remarks or Remarks()
+    with_kind = _WithKind(remarks)
     try:
         with open_log(path, remarks) as log:
             for each in _bounded(log, MAX_MESSAGES + MAX_MESSAGES_PER_BYTE * path.stat().st_size):
@@ -96,7 +98,7 @@ def read(path: Path, ids: frozenset[Key] = frozenset(), remarks: Remarks | None 
                 if not 0 <= stamp < MAX_TIME_S:
                     raise ValueError(f"time {stamp:g} s is outside 1970 to 2106")
                 count += 1
-                channel, message = each if isinstance(each, tuple) else _channel_and_message(each)
+                channel, message = each if isinstance(each, tuple) else with_kind(each)
                 if kind := _kind(each, message):
                     remarks.left_out[kind] += 1
                     continue
@@ -143,11 +145,21 @@ def _kind(each: Logged, message: Message) -> str:
     return UNREADABLE * (not 0 <= message.id <= MAX_ID or len(message.data) > MAX_BYTES)
 
 
-def _channel_and_message(message: CanMessage) -> tuple[str, Message]:
-    """A message and its channel; one of more than 8 bytes is of CAN FD, which some formats do not say."""
-    id_, data = message.arbitration_id, bytes(message.data)
-    fd = message.is_fd or len(data) > MAX_CLASSIC_BYTES
-    return str(message.channel), Message(message.timestamp, id_, data, message.is_extended_id, fd)
+class _WithKind:
+    """Messages of python-can's readers; where a format does not tell CAN FD, a long message tells it of its id."""
+
+    def __init__(self, remarks: Remarks) -> None:
+        self._remarks, self._long = remarks, set[Key]()
+
+    def __call__(self, message: CanMessage) -> tuple[str, Message]:
+        """A message and its channel."""
+        data, key = bytes(message.data), (message.arbitration_id, message.is_extended_id)
+        if len(data) > MAX_CLASSIC_BYTES and not (message.is_fd or key in self._long):
+            self._long.add(key)
+            if FD_LOST not in self._remarks.caveats:
+                self._remarks.caveats.append(FD_LOST)
+        fd = message.is_fd or key in self._long
+        return str(message.channel), Message(message.timestamp, key[0], data, key[1], fd)
 
 
 def _rows(path: Path, ids: frozenset[Key], zone: str | None) -> Iterator[tuple[object, ...]]:

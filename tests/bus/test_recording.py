@@ -17,9 +17,11 @@ from can.io import blf
 from tactiled.build import sensor_plan
 from tactiled.bus import recording
 from tactiled.bus.assembler import assemble
+from tactiled.bus.codecs.packed import Packed
 from tactiled.bus.logfile import MAX_BLOCK_BYTES, MAX_LINE_CHARACTERS
+from tactiled.bus.reader import can_message
 from tactiled.bus.recorder import Recorder
-from tactiled.bus.recording import MAX_BACK_S, MAX_PAUSE_S, Pace, Recording
+from tactiled.bus.recording import FD_LOST, MAX_BACK_S, MAX_PAUSE_S, Pace, Recording
 from tactiled.bus.textlog import CSV_HEAD
 from tactiled.config import parse
 from tactiled.config.example import GRASP
@@ -247,6 +249,20 @@ def test_containers_of_python_cans_own_writer_are_read(tmp_path, compression_lev
         for each in messages:
             file.on_message_received(each)
     assert [each.data for each in recording.read(path)] == [bytes(each.data) for each in messages]
+
+
+@pytest.mark.parametrize("ending", [".csv", ".db", ".blf"])
+def test_short_messages_of_can_fd_are_known_for_such_where_a_format_does_not_tell(tmp_path, ending):
+    codec = Packed(33, 16, fd=True)  # its second message has 6 bytes
+    path, counts = tmp_path / f"a{ending}", np.arange(33, dtype=np.uint16)
+    with can.Logger(path) as file:
+        for n in range(3):
+            for each in codec.encode(counts + n, n, 1e9 + n):
+                file(can_message(each))
+    log = Recording(path, codec.ids)
+    frames, loss = assemble(codec, log)
+    assert ([each.counts[-1] for each in frames], loss.malformed) == ([32, 33, 34], 0)
+    assert log.caveats() == ([] if ending == ".blf" else [FD_LOST])
 
 
 def test_a_reason_is_short_also_where_a_reader_quotes_a_long_line(tmp_path):
