@@ -7,6 +7,7 @@ from unittest.mock import Mock
 import mcap.reader
 import numpy as np
 import pytest
+import yaml
 from rerun.chunk import McapReader
 from rosbags.highlevel import AnyReader
 
@@ -20,6 +21,16 @@ from tests.cli.test_export import check_mcap, exported
 
 ORIGIN_MM, ORIENTATION = [10.0, 0.0, 2.5], [0.0, 0.0, 0.7071, 0.7071]
 PLACE = f'pitch_mm = 1.0, frame_id = "hand", origin_mm = {ORIGIN_MM}, orientation = {ORIENTATION}'
+# What rosbag2 reads of metadata.yaml of this version: rosbag2_storage/include/rosbag2_storage/yaml.hpp, 0.22 to 0.29.
+METADATA = {
+    "version", "storage_identifier", "duration", "starting_time", "message_count", "topics_with_message_count",
+    "relative_file_paths", "compression_format", "compression_mode", "files", "custom_data", "ros_distro",
+}  # fmt: skip
+TOPIC = {"name", "type", "serialization_format", "offered_qos_profiles", "type_description_hash"}
+QOS = {
+    "history", "depth", "reliability", "durability", "deadline", "lifespan", "liveliness",
+    "liveliness_lease_duration", "avoid_ros_namespace_conventions",
+}  # fmt: skip
 PALM = {"raw", "restored", "tactile", "markers", "layout", "wrench"}
 
 
@@ -158,6 +169,13 @@ def test_the_file_is_sound_and_defines_its_messages(layout):
         qos = {each.topic: each.ext.offered_qos_profiles[0] for each in reader.connections}
         assert {reader.deserialize(data, each.msgtype).header.frame_id for each, _, data in reader.messages()
                 if each.topic == "/hand/tactile"} == {"hand"}  # fmt: skip
+    about = yaml.safe_load((file.parent / "metadata.yaml").read_text())["rosbag2_bagfile_information"]
+    assert about.keys() == METADATA
+    for each in about["topics_with_message_count"]:
+        assert each["topic_metadata"].keys() == TOPIC
+        (profile,) = yaml.safe_load(each["topic_metadata"]["offered_qos_profiles"])  # a text before version 9
+        assert profile.keys() == QOS
+        assert {type(profile[key]) for key in ("history", "reliability", "durability", "liveliness")} == {int}
     reliability = [qos[f"/hand/{name}"].reliability.name for name in ("raw", "restored")]
     assert reliability == ["BEST_EFFORT", "RELIABLE"]
     assert qos["/hand/layout"].durability.name == "TRANSIENT_LOCAL"
@@ -179,6 +197,7 @@ def test_the_same_export_is_the_same_bag_and_sqlite3_holds_the_same_messages(tmp
             "select name, timestamp, data from messages join topics on topic_id = topics.id order by messages.id"
         )
         assert old.execute(join).fetchall() == rows
+        assert old.execute("select schema_version from schema").fetchall() == [(4,)]  # sqlite_storage.hpp, 0.24 on
     old.close()
 
 
