@@ -98,7 +98,7 @@ class Chain:
         """Restore pressures; what is far below zero counts as none. The image has no NaN, until the next frame.
 
         Of a `frame` with shear whose scale is known, the tangential load is restored under that image, and then
-        the pressures less what it adds to them, but for the raw image.
+        the pressures less what it adds to them, but for the raw image and on skins that are not wide enough.
         """
         restorer, below = self.restorer(method), flags & BELOW_ZERO
         if np.count_nonzero(below):
@@ -108,7 +108,7 @@ class Chain:
         if self._traction and sheared is not None:
             noise = self.noise * np.array([1, self._shear_noise, self._shear_noise])
             self._load = load = self._traction(restorer.surface, sheared, noise)
-            if load.pressure.any() and method != "raw":
+            if load.pressure.any() and self._traction.coupled.wide and method != "raw":
                 done = restorer(_less(raw, load.pressure), flags, expired)
                 again = self._traction(restorer.surface, sheared, noise)
                 self._load = again._replace(pressure=load.pressure)  # that the image is without
@@ -145,9 +145,15 @@ class Chain:
         """Flags, not 0 for noisy taxels either."""
         return flags if self.noise_ratio is None else flags | (self.noise_ratio > 1).reshape(flags.shape)
 
+    def sheared_off(self, raw: Floats32) -> Floats32:
+        """Pressures less what the image restored last is without: what a tangential load adds to them."""
+        return _less(raw, None if self._load is None else self._load.pressure)
+
     def warnings(self, raw: Floats32, doubtful: Flags, done: Restored) -> tuple[FrameWarning, ...]:
-        """Compare the image restored last with its frame, now and then: what several frames in turn have shown."""
-        raw = _less(raw, None if self._load is None else self._load.pressure)
+        """Compare the image restored last with its frame, now and then: what several frames in turn have shown.
+
+        `raw` is without what a tangential load adds.
+        """
         return self._checks(raw, doubtful, done.image, self.noise, done.method, self._restorer.predicted)
 
     def check(self, image: Image) -> tuple[WarningCode, ...]:

@@ -18,6 +18,7 @@ THIN_BEYOND, THIN_PITCHES = 1, 0.75  # the same under a cover that is thinner th
 APERTURE = 0.8  # of a cell: what the model has on each where the taxels are elsewhere, as in training
 PARTS = 4  # squares along a cell, of which a taxel elsewhere feels each
 CELLS_A_PITCH = 2  # where the taxels are no grid
+MIN_THICKNESSES = 3.0  # of the cover, along a skin's shorter side, from which on pressure is told from shear there
 MAX_BEYOND_VALUES = 1 << 22  # of a grid: taxels beyond it times its own, as 64 x 64 have
 MAX_CELLS, MAX_VALUES = 4096, 1 << 20  # of a surface with taxels elsewhere: it, and times the taxels
 MAX_LAYOUT_CELLS, MAX_LAYOUT_VALUES = (
@@ -81,7 +82,8 @@ def coupled(stack: Stack, blur: Blur, array: Array) -> Coupled:
     pressure = np.stack([blur.wide.forward(cell).ravel() for cell in each]) if blur.wide else blur.forward(each)
     felt = responses(stack, array, cells, image.side)
     matrix = np.block([[pressure.reshape(len(cells), -1).T, felt.tilt], [felt.apart, felt.tangential]])
-    return Coupled(matrix, cells / pitch, (rows, columns), own)
+    narrow = float((np.ptp(array.positions, axis=0) + pitch).min()) < MIN_THICKNESSES * stack.depth
+    return Coupled(matrix, cells / pitch, (rows, columns), own, not narrow)
 
 
 def _beyond(kernel: Kernel, array: Array, refine: int, sides: list[int]) -> Wide | None:

@@ -175,7 +175,7 @@ class Pipeline:
 
     def _check(self, raw: Floats32, flags: Flags, done: Restored, budget_s: float) -> tuple[FrameWarning, ...]:
         """Warnings of an image."""
-        doubtful = self._chain.doubtful(flags)
+        raw, doubtful = self._chain.sheared_off(raw), self._chain.doubtful(flags)
         checked = self._chain.warnings(raw, doubtful, done)
         if done.cut_short:
             checked = (*checked, warning("cut_short", budget_ms=1e3 * budget_s))

@@ -386,6 +386,7 @@ def test_tangential_load_is_restored_once_shear_is_tared_and_pressure_without_wh
     before = pipeline.process(load)
     assert before.traction is before.tilt is None
     tare(pipeline, replace(dragged(plan, 0)[0], counts=np.full(24, 36000, np.uint16), shear=np.zeros((2, 24))))
+    pipeline.cover.push = MagicMock()
     image = pipeline.process(load)
     x, y = image.traction
     np.testing.assert_allclose(x.sum(), 0.5 * pressure.sum(), rtol=0.1)
@@ -394,6 +395,14 @@ def test_tangential_load_is_restored_once_shear_is_tared_and_pressure_without_wh
     assert image.traction_deviation.shape == image.traction.shape
     wrong = [np.linalg.norm(each.restored - pressure) for each in (before, image)]
     assert wrong[1] < 0.5 * wrong[0]
+    np.testing.assert_allclose(pipeline.cover.push.call_args.args[0], image.raw - image.tilt, rtol=1e-6)
+    narrow = Pipeline(replace(plan, coupled=plan.coupled._replace(wide=False)))
+    narrow.set_zero(pipeline.zero)
+    narrow.noise.settle(0.1)
+    alone = narrow.process(load)
+    np.testing.assert_array_equal(alone.restored, before.restored)
+    assert not alone.tilt.any()
+    assert np.linalg.norm(alone.traction[0] - 0.5 * pressure) < 0.3 * np.linalg.norm(0.5 * pressure)
     spread = pipeline.deviation(image)
     assert np.linalg.norm(image.restored - pressure) < 3 * np.linalg.norm(spread)
     raw = Pipeline(replace(plan, method="raw"))

@@ -22,23 +22,29 @@ def test_presses_with_friction_are_restored(size, thickness):
     assert known > 0.7
 
 
+def test_the_readings_tell_how_large_friction_is():
+    for friction, most in ((0.01, 0.25), (0.3, 0.35)):
+        raw, _, restored, *_ = shear.measure(4, 4, 2.0, 12, seed=1, friction=friction).mean(axis=0)
+        assert restored < most * raw
+
+
 def test_an_even_drag_under_one_press_keeps_its_force(traction):
-    rows, columns = traction._coupled.shape
-    x, y = traction._coupled.cells.T
+    rows, columns = traction.coupled.shape
+    x, y = traction.coupled.cells.T
     image = (60 * np.exp(-((x - 2.2) ** 2 + (y - 1.4) ** 2))).reshape(rows, columns)
     load = np.concatenate([image.ravel(), 0.4 * image.ravel(), -0.2 * image.ravel()])
-    readings = (traction._coupled.felt @ load).reshape(3, -1)
-    own = image[traction._coupled.own]
+    readings = (traction.coupled.felt @ load).reshape(3, -1)
+    own = image[traction.coupled.own]
     restored = traction(image, readings, QUIET)
     np.testing.assert_allclose(restored.traction.sum(axis=(1, 2)), own.sum() * np.array([0.4, -0.2]), rtol=0.06)
-    np.testing.assert_allclose(restored.pressure, traction._coupled.felt[:24, len(x) :] @ load[len(x) :], atol=1)
+    np.testing.assert_allclose(restored.pressure, traction.coupled.felt[:24, len(x) :] @ load[len(x) :], atol=1)
     readings[:, 9] = np.nan
     without = traction(image, readings, QUIET)
     np.testing.assert_allclose(without.traction, restored.traction, atol=3)
 
 
 def test_nothing_drags_where_nothing_presses_or_nothing_is_known(traction):
-    rows, columns = traction._coupled.shape
+    rows, columns = traction.coupled.shape
     pressed = np.full((rows, columns), 5.0)
     for image, readings in (
         (np.zeros((rows, columns)), np.full((3, 24), 7.0)),
