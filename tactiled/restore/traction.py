@@ -4,8 +4,8 @@ Where nothing presses nothing drags, and what drags does so about alike over a c
 p of the image times a smooth field of random friction, t = p m, and the image may be wrong by d, smooth and in
 proportion to it. Taxels feel both in both kinds of reading, as the cover couples them: the mean of t given the
 readings, by Gaussian process regression on t and d together, is one linear system. How large friction is, from
-none on, the readings tell, too: the mean at each size is weighted by how likely they are under it, as errors of the
-model look like a little friction where there is none.
+none on, the readings tell, too: the mean at each size is weighted by how likely they are under it, as errors of
+the model look like a little friction where there is none.
 """
 
 from typing import Any, NamedTuple
