@@ -139,7 +139,7 @@ class Calibrated(NamedTuple):
     truth: Truth
     gain: GainFit
 
-    def pressure(self, series: FrameSeries) -> Floats32:
+    def in_kpa(self, series: FrameSeries) -> Floats32:
         """Frames in kPa (T, N), NaN where a taxel is dead."""
         kpa = self.gain.curves.pressure(series.counts - self.gain.no_load.astype(np.float32))
         kpa[:, list(self.gain.dead)] = np.nan
@@ -180,13 +180,13 @@ def edge_fit(skin: Calibrated, random: np.random.Generator) -> CoverFit:
 
 
 def _presses(skin: Calibrated, series: FrameSeries, border: bool = False) -> list[Press]:
-    return find_presses(skin.pressure(series), skin.truth.skin.array, skin.truth.skin.noise_kpa, border=border)
+    return find_presses(skin.in_kpa(series), skin.truth.skin.array, skin.truth.skin.noise_kpa, border=border)
 
 
 def blind_fit(skin: Calibrated, random: np.random.Generator) -> CoverFit:
     """Fit the cover to the demo's tour, of which the fit knows nothing."""
     array, configured, gain_error = skin.for_touch
-    frames = skin.pressure(tour_series(skin.truth.skin, TOUR_S, random)).reshape(-1, *array.frame_shape)
+    frames = skin.in_kpa(tour_series(skin.truth.skin, TOUR_S, random)).reshape(-1, *array.frame_shape)
     noise_kpa, error = skin.truth.skin.noise_kpa, float(np.median(gain_error))
     return fit_blind(frames, noise_kpa, CoverFamily(configured), array, error)
 
@@ -230,7 +230,7 @@ def restored(skin: Calibrated, fit: CoverFit, random: np.random.Generator) -> It
             over = series.counts - truth.skin.no_load
             frames: tuple[Reals, ...] = (
                 over * KPA_PER_COUNT,
-                np.nan_to_num(skin.pressure(series)),
+                np.nan_to_num(skin.in_kpa(series)),
                 over * truth.skin.kpa_per_count,
             )
             errors = [

@@ -123,7 +123,7 @@ class Assembler:
                 frame.disputed.add(segment)
                 frame.ended = max(frame.ended, float(readings.times[at]))
             return at + 1
-        end, newest, late = frame.add(arrivals, at, self._cycle)
+        end, newest, late = frame.fill(arrivals, at, self._cycle)
         if late and self._cycle is None:
             self.count("late", late)
         self._newest = max(self._newest, newest)

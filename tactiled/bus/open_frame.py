@@ -31,7 +31,7 @@ class OpenFrame:
         self.segments: list[NDArray[np.int64]] = []  # in the order of arrival, without sequence numbers
         self.times: list[NDArray[np.float64]] = []  # s, the same
 
-    def add(self, arrivals: Arrivals, at: int, cycle: "Cycle | None") -> tuple[int, float, int]:
+    def fill(self, arrivals: Arrivals, at: int, cycle: "Cycle | None") -> tuple[int, float, int]:
         """Take message `at`, of a segment that has not come yet, and those behind it that are of this frame.
 
         Gives the first message not taken, when the newest one came (s), and how many came behind a later segment.

@@ -109,11 +109,11 @@ class Foxglove(Bridge):
         """Advertise a sensor's topics."""
         self._sensors[sensor] = _SensorChannels(self._context, sensor)
 
-    def image(self, sensor: Sensor, image: Image) -> bool:
+    def on_image(self, sensor: Sensor, image: Image) -> bool:
         """Send an image and its contacts."""
         return self._sensors[sensor].send_image(image, time.monotonic())
 
-    def status(self, sensor: Sensor, now: float) -> None:
+    def on_status(self, sensor: Sensor, now: float) -> None:
         """Send the state."""
         self._sensors[sensor].send_state(now)
 

@@ -68,7 +68,7 @@ class CoverMonitor:
         self._profiles: Profiles | None = None
         self.warning: tuple[FrameWarning, ...] = ()
 
-    def push(self, raw: Floats32, flags: Flags, noise_kpa: float) -> None:
+    def observe(self, raw: Floats32, flags: Flags, noise_kpa: float) -> None:
         """Take a frame in kPa. A lift or a new shape ends a contact; its steepest frame then waits."""
         self._frames += 1
         if not self._judges or self._frames % EVERY_FRAMES or (flags & SATURATED).any():

@@ -58,7 +58,7 @@ class History:
         """Memory that it has."""
         return len(self._method) * self._frame_bytes
 
-    def add(self, image: Image) -> None:
+    def keep(self, image: Image) -> None:
         """Copy one image in over the oldest; allocates nothing."""
         if not self.capacity:
             return

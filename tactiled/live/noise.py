@@ -36,7 +36,7 @@ class Noise:
         if self._configured is None:
             self.kpa, self.settled, self._fixed = kpa, True, True
 
-    def add(self, raw: Floats32) -> None:
+    def learn(self, raw: Floats32) -> None:
         """Take one more frame."""
         if self._pause:
             self._pause -= 1

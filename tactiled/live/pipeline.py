@@ -150,10 +150,10 @@ class Pipeline:
         self._apply_tare(frame)
         chain = self._chain
         chain.follow(frame.counts, frame.flags)
-        if self.monitor.push(frame, self.calibrator):
+        if self.monitor.observe(frame, self.calibrator):
             chain.weigh(self.monitor.noise_counts)
         raw, flags = chain.pressure(frame)
-        self.noise.add(raw)
+        self.noise.learn(raw)
         chain.noise = self.noise.kpa
         if self.noise.settled:
             lowest, highest, _ = readings.look(raw.reshape(-1))
@@ -180,7 +180,7 @@ class Pipeline:
         if done.cut_short:
             checked = (*checked, warning("cut_short", budget_ms=1e3 * budget_s))
         checked = self._thickness(checked, raw, doubtful, self.noise.kpa)
-        self.cover.push(raw, doubtful, self.noise.kpa if self.noise.settled else np.inf)
+        self.cover.observe(raw, doubtful, self.noise.kpa if self.noise.settled else np.inf)
         wrong = self.monitor.map.wrong
         of_map = (warning("wrong_map", wrong=", ".join(wrong)),) if wrong else ()
         of_skin = self._plan.warnings + self.noise.warning + flag_warnings(flags)
@@ -188,7 +188,7 @@ class Pipeline:
 
     def _apply_tare(self, frame: RawFrame) -> None:
         """Add a frame to a tare under way; apply its zero once it is complete, unless there was a load."""
-        frames = self.tares.add(frame)
+        frames = self.tares.collect(frame)
         if frames is None:
             return
         if load := "" if self.tares.force else self._load_during(frames[:, 0]):

@@ -93,7 +93,7 @@ class RegionSeries:
         self._impulse = self._pressure_time = 0.0
         self._since = np.nan
 
-    def add(self, image: Image) -> float | None:
+    def watch(self, image: Image) -> float | None:
         """Measure an image; the value that has crossed the threshold, None where none has."""
         gap = image.time - self._last
         now = self.measure(image)
@@ -185,10 +185,10 @@ class RegionMonitor:
         del series[name]
         self.series = series
 
-    def add(self, image: Image) -> None:
+    def watch(self, image: Image) -> None:
         """Measure every region in an image: on the sensor's thread."""
         for name, each in self.series.items():
-            value = each.add(image)
+            value = each.watch(image)
             if value is not None:
                 self._crossings.append(Crossing(name, each.exceeded, value))
 

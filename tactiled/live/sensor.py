@@ -208,10 +208,10 @@ class Sensor:
         try:
             with self._between_frames, FRAME_LOCK:
                 image = self.pipeline.process(frame, budget_s, came)
-            self.regions.add(image)
+            self.regions.watch(image)
             self.hub.publish(image)
-            self.timings.add(image, time.monotonic())
-            self.history.add(image)
+            self.timings.note(image, time.monotonic())
+            self.history.keep(image)
             if image.warnings:
                 with self._warnings_lock:
                     self._warnings.update((each.code, each) for each in image.warnings)

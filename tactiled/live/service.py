@@ -88,7 +88,9 @@ class Service:
         except KeyError as error:
             raise UnknownSensorError.among(name, self.sensors) from error
 
-    def push(self, name: str, values: Reals, sequence: int | None = None, time_s: float | None = None) -> int:
+    def push_frame(
+        self, name: str, values: Reals, sequence: int | None = None, time_s: float | None = None
+    ) -> int:
         """Take a frame, of the array's shape or (N,), NaN: unknown; gives its sequence number.
 
         NotPushedError where the sensor reads a bus or a recording, ConfigError for another shape, BusError where

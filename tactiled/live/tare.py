@@ -70,7 +70,7 @@ class Tare:
     def _go(self, event: Event) -> None:
         self.state = NEXT.get((self.state, event), self.state)
 
-    def add(self, frame: RawFrame) -> Floats32 | None:
+    def collect(self, frame: RawFrame) -> Floats32 | None:
         """All frames (T, 1, N) of counts, or (T, 3, N) with shear along x and y, once enough; NaN: unknown."""
         with self._lock:
             if not self.under_way or (frame.flags & UNKNOWN).all():

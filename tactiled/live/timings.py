@@ -18,7 +18,7 @@ class Histogram:
         self.counts = [0] * (len(BOUNDS_S) + 1)  # in (bound before, bound]; the last: above all
         self.sum_s = 0.0
 
-    def add(self, seconds: float) -> None:
+    def count(self, seconds: float) -> None:
         """Count one time."""
         self.counts[bisect_left(BOUNDS_S, seconds)] += 1
         self.sum_s += seconds
@@ -32,19 +32,19 @@ class Timings:
         self.methods: dict[str, Histogram] = {}  # of restoring alone, by the method that ran
         self.ages = {place: Histogram() for place in PLACES}  # of a frame, since its last message came
 
-    def add(self, image: Image, published: float) -> None:
+    def note(self, image: Image, published: float) -> None:
         """Count an image that was published at `published` (s); for the thread that restores."""
         if image.times is None:
             return
         times = (*image.times[1:], published)
         for histogram, before, after in zip(self.stages.values(), times, times[1:], strict=False):
-            histogram.add(after - before)
+            histogram.count(after - before)
         if image.method not in self.methods:
             self.methods[image.method] = Histogram()
-        self.methods[image.method].add(image.times.restored - image.times.calibrated)
-        self.ages["publish"].add(published - image.times.last_message)
+        self.methods[image.method].count(image.times.restored - image.times.calibrated)
+        self.ages["publish"].count(published - image.times.last_message)
 
     def add_send(self, image: Image, time: float) -> None:
         """Count an image that a client was sent at `time` (s); for the event loop."""
         if image.times is not None:
-            self.ages["send"].add(time - image.times.last_message)
+            self.ages["send"].count(time - image.times.last_message)

@@ -101,7 +101,7 @@ class _Writer:
         self._pending += np.array((*head, _losses(frame.loss)), HEAD).tobytes()
         self._offset += sum(self._arrays.write(each.tobytes()) for each in parts)
 
-    def flush(self) -> None:
+    def write_out(self) -> None:
         self._arrays.flush()
         self._heads.write(self._pending)
         self._heads.flush()
@@ -123,7 +123,7 @@ def write_frames(
             writers[name].add(frame)
             if time.monotonic() - flushed > FLUSH_S:
                 for each in writers.values():
-                    each.flush()
+                    each.write_out()
                 flushed = time.monotonic()
                 check_goes_on(parent, path.parent, leave_mb)
     except ConfigError as error:
@@ -132,7 +132,7 @@ def write_frames(
         raise
     finally:
         for each in writers.values():
-            each.flush()
+            each.write_out()
     return END_CUT * recording.torn, recording.caveats()
 
 

@@ -29,7 +29,7 @@ class Host(NamedTuple):
 
 
 class Bridge:
-    """Another system's protocol: `start`, an image, a status, `stop`; a subclass gives what it needs.
+    """Another system's protocol: `start`, `on_image`, `on_status`, `stop`; a subclass gives what it needs.
 
     All but `start` and `routes` run on one thread of the bridge. An exception there is a fault of the service, and
     `/health` names it. A bridge with a thread of its own gives `running` instead.
@@ -43,12 +43,12 @@ class Bridge:
     def enter(self, sensor: Sensor) -> None:
         """A sensor is there from now on; after a reload another object may have its name."""
 
-    def image(self, sensor: Sensor, image: Image) -> bool:
+    def on_image(self, sensor: Sensor, image: Image) -> bool:
         """The newest image; whether it was sent: if not, it comes again until there is a newer one."""
         raise NotImplementedError
 
-    def status(self, sensor: Sensor, now: float) -> None:
-        """Time to look at `sensor.status()`: after every image, and each LOOK_S; `now` in s, monotonic."""
+    def on_status(self, sensor: Sensor, now: float) -> None:
+        """The time to look at `sensor.status()`: after every image, and each LOOK_S; `now` in s, monotonic."""
 
     def leave(self, sensor: Sensor) -> None:
         """A sensor is no longer there."""
@@ -92,9 +92,9 @@ class Bridge:
                         image = sensor.hub.latest()
                         if image is not None and image is not sent[sensor]:
                             before, sent[sensor] = sent[sensor], image  # one that fails is not tried again
-                            if not self.image(sensor, image):
+                            if not self.on_image(sensor, image):
                                 sent[sensor] = before
-                        self.status(sensor, time.monotonic())
+                        self.on_status(sensor, time.monotonic())
 
         follow()
         thread = Thread(target=work, name=self.name, daemon=True)

@@ -67,7 +67,7 @@ class Run:
         at_s = self.frames / self.rate_hz if time_s is None else time_s
         frame = RawFrame(self.frames, at_s, 0.0, rounded, self._flags, Loss())
         self.frames += 1
-        return self.monitor.drain_changes() if self.monitor.push(frame, self.calibrator) else []
+        return self.monitor.drain_changes() if self.monitor.observe(frame, self.calibrator) else []
 
 
 def linear(kpa_per_count):
@@ -255,7 +255,8 @@ def recorded():
         noise = MAD_TO_SIGMA * np.nanmedian(np.abs(np.diff(frames.counts, 2, axis=0)), axis=0) / 6**0.5
         monitor = Blocks(frames.counts.shape[1])
         blocks = [
-            monitor.push(*each, np.zeros(60, np.uint8)) for each in zip(frames.times, frames.counts, strict=True)
+            monitor.observe(*each, np.zeros(60, np.uint8))
+            for each in zip(frames.times, frames.counts, strict=True)
         ]
         still = np.ptp(frames.counts, axis=0) == 0
         yield (

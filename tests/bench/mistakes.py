@@ -196,7 +196,7 @@ def trial(row, seed, number):
     shapes = [Pressed(row.way, tuple(each), transform) for each in places(row.way, random)]
     series = press_series(skin, shapes, bench.PEAK_KPA * random.uniform(0.6, 1, len(shapes)), random)
     series = bent(series, skin, row.bend) if row.bend else series
-    presses = find_presses(gains.pressure(series), array, bench.NOISE_KPA, border=row.way in ("edge", "ridge"))
+    presses = find_presses(gains.in_kpa(series), array, bench.NOISE_KPA, border=row.way in ("edge", "ridge"))
     gain_error, factor = gains.for_touch[2], row.size_factor ** random.choice([-1, 1])
     measured = float(random.normal(size * factor, row.size_error_mm))
     if row.way in ("tip", "ball"):

@@ -3,6 +3,7 @@
 import ast
 import re
 import tomllib
+from collections import Counter
 from typing import get_args
 from urllib.parse import unquote
 
@@ -168,3 +169,13 @@ def test_every_name_on_the_way_of_a_frame_is_in_its_file():
     names = re.findall(r"`([\w/]+\.(?:py|js))::([\w.]+)`", read("frame.md"))
     assert len(names) == read("frame.md").count("::") > 40
     assert not [f"{path}::{name}" for path, name in names if name not in definitions(ROOT / "tactiled" / path)]
+
+
+def test_few_classes_share_a_name_on_the_way_from_messages_to_bytes():
+    way = read("frame.md").split("## A press")[0].split("give each sensor")[1].split("send them")[0]
+    names = {name.split(".")[1] for name in re.findall(r"`[\w/]+\.py::(\w+\.\w+)`", way)}
+    names -= {"__call__", "readings"}  # of one interface each
+    paths = [*(ROOT / "tactiled").rglob("*.py")]
+    owners = Counter(each.split(".")[1] for path in paths for each in definitions(path) if "." in each)
+    assert len(names) > 15
+    assert {name: owners[name] for name in names if owners[name] > 3} == {}

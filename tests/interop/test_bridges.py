@@ -19,12 +19,12 @@ class Lines(Bridge):
         return "lines of my own"
     def enter(self, sensor):
         self.lines.append(("enter", sensor.name))
-    def image(self, sensor, image):
+    def on_image(self, sensor, image):
         self.lines.append(("image", image.sequence))
         if image.sequence == 1:
             raise ZeroDivisionError("by zero")
         return image.sequence != 2 or len(self.lines) > 6
-    def status(self, sensor, now):
+    def on_status(self, sensor, now):
         if self.lines[-1] != ("status", sensor.state):
             self.lines.append(("status", sensor.state))
     def stop(self):

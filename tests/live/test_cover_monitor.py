@@ -40,7 +40,7 @@ def contacts(factor=1.0, count=8):
 def searched(monitor, frames, now=0.0, flags=SOUND):
     """What is known after a search at `now` (s) that has `frames`."""
     for frame in np.repeat(frames.astype(np.float32), EVERY_FRAMES, axis=0):
-        monitor.push(frame, flags, NOISE)
+        monitor.observe(frame, flags, NOISE)
     monitor.search(now)
     if monitor._running:
         assert monitor._running.poll(240)  # its process gives way to all others
@@ -70,7 +70,7 @@ def test_contacts_are_those_over_the_zero_just_before_them_however_it_drifts():
     frames = np.concatenate([[*random.normal(0, NOISE, (80, SIDE, SIDE)), *each] for each in pressed])
     drift = np.linspace(0, 3 * NOISE, len(frames))[:, None, None] * np.linspace(0.5, 1.5, SIDE)
     for frame in np.repeat((frames + drift).astype(np.float32), EVERY_FRAMES, axis=0):
-        monitor.push(frame, SOUND, NOISE)
+        monitor.observe(frame, SOUND, NOISE)
     assert len(monitor._waiting) == 3
     for kept in monitor._waiting:
         seen = NOISE * kept.frames[kept.place]

@@ -28,7 +28,7 @@ def image(n, **fields):
 def ring(capacity, images=()):
     history = History(1e6, FRAME_BYTES * (capacity + 1), RAW, RESTORED)
     for each in images:
-        history.add(each)
+        history.keep(each)
     return history
 
 
@@ -48,7 +48,7 @@ def test_memory_is_bounded_by_time_and_by_bytes():
     assert History(1e6, each * 21, RAW, RESTORED, shear=True).capacity == 20
     for empty in (History(0, UNLIMITED, RAW, RESTORED), History(5, FRAME_BYTES, RAW, RESTORED), ring(5)):
         if not empty.capacity:
-            empty.add(image(0))
+            empty.keep(image(0))
         for kind, shape in (("raw", RAW), ("restored", RESTORED)):
             assert page(empty, kind).values.shape == (0, *shape)
         assert page(empty).flags.shape == (0, *RAW)
@@ -59,14 +59,14 @@ def test_no_image_waits_for_memory():
     history = ring(slots)
     before = resource.getrusage(resource.RUSAGE_THREAD).ru_minflt
     for n in range(slots):
-        history.add(images[n % 10])
+        history.keep(images[n % 10])
     assert resource.getrusage(resource.RUSAGE_THREAD).ru_minflt - before < 10
 
 
 def test_the_last_images_come_in_order_with_all_that_is_known_of_them():
     history = History(1e6, (FRAME_BYTES + SHEAR_BYTES) * 21, RAW, RESTORED, shear=True)
     for n in range(50):
-        history.add(image(n))
+        history.keep(image(n))
     last = np.arange(30, 50)
     raw, restored, shear = (page(history, kind) for kind in ("raw", "restored", "shear"))
     assert raw.sequence.tolist() == last.tolist()
@@ -97,7 +97,7 @@ def test_a_page_that_is_copied_while_images_are_added_is_never_mixed():
     history, interval = ring(8), sys.getswitchinterval()
     sys.setswitchinterval(1e-5)
     with ThreadPoolExecutor(1) as other:
-        adding = other.submit(lambda: [history.add(image(n)) for n in range(5000)])
+        adding = other.submit(lambda: [history.keep(image(n)) for n in range(5000)])
         while not adding.done():
             copied = page(history, seconds=1e9)
             n = copied.sequence.astype(np.float32)
@@ -111,7 +111,7 @@ def test_images_in_another_unit_than_the_newest_are_left_out():
     counts = [image(n, unit="counts") for n in range(3)]
     history = ring(9, counts)
     assert (page(history).unit, page(ring(9)).unit, page(history).cut) == ("counts", None, False)
-    history.add(image(3))  # a calibration was applied
+    history.keep(image(3))  # a calibration was applied
     got = page(history)
     assert (got.sequence.tolist(), got.unit, got.cut, got.older) == ([3], "kPa", True, False)
     assert not page(history, seconds=0.005).cut

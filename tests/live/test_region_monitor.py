@@ -38,7 +38,7 @@ def monitor():
 def test_a_threshold_has_hysteresis(monitor):
     crossings = []
     for n, kpa in enumerate([10, 49, 51, 45, 60, 41, 39, 45, 49, 52]):
-        monitor.add(image(kpa, n))
+        monitor.watch(image(kpa, n))
         crossings += [(n, each.above, each.value) for each in monitor.drain_crossings()]
     assert crossings == [(2, True, 51), (6, False, 39), (9, True, 52)]
     assert monitor.series["west"].summary().exceeded
@@ -47,11 +47,11 @@ def test_a_threshold_has_hysteresis(monitor):
 def test_what_is_not_known_crosses_no_threshold_and_is_no_zero(monitor):
     flags, hole = np.zeros((4, 4), np.uint8), np.zeros((4, 4), np.float32)
     flags[:3, :2] = MISSING
-    monitor.add(image(60, 0))
-    monitor.add(image(0, 1, shares=hole, flags=flags))
-    monitor.add(image(0.4, 2, noise_known=False))  # may be noise alone
-    monitor.add(image(60, 3, noise_known=False))  # clear whatever the noise is
-    monitor.add(image(0, 4))
+    monitor.watch(image(60, 0))
+    monitor.watch(image(0, 1, shares=hole, flags=flags))
+    monitor.watch(image(0.4, 2, noise_known=False))  # may be noise alone
+    monitor.watch(image(60, 3, noise_known=False))  # clear whatever the noise is
+    monitor.watch(image(0, 4))
     assert [(each.above, each.value) for each in monitor.drain_crossings()] == [(True, 60), (False, 0)]
     series = monitor.series["west"].series(10, 100)
     np.testing.assert_array_equal(np.isfinite(series.values).all(axis=1), [True, False, False, True, True])
@@ -60,15 +60,15 @@ def test_what_is_not_known_crosses_no_threshold_and_is_no_zero(monitor):
 
 def test_peaks_hold_and_integrals_grow_until_a_reset(monitor):
     for n, kpa in enumerate([20, 80, 40]):
-        monitor.add(image(kpa, 100 + 0.5 * n))
-    monitor.add(image(10, 200.0))  # after a gap, over which nothing is known
+        monitor.watch(image(kpa, 100 + 0.5 * n))
+    monitor.watch(image(10, 200.0))  # after a gap, over which nothing is known
     summary = monitor.series["west"].summary()
     assert (summary.now.peak, summary.highest.peak, summary.since) == (10, 80, 100)
     assert summary.now.force == pytest.approx(0.010)
     assert summary.impulse == pytest.approx(0.5 * (0.080 + 0.040))
     assert summary.pressure_time == pytest.approx(0.5 * (80 + 40))
     monitor.series["west"].reset()
-    monitor.add(image(30, 200.5))
+    monitor.watch(image(30, 200.5))
     summary = monitor.series["west"].summary()
     assert (summary.highest.peak, summary.since, summary.impulse) == (30, 200.5, pytest.approx(0.015))
 
@@ -77,14 +77,14 @@ def test_a_fast_sensors_series_goes_back_as_far_as_any(monitor):
     series = monitor.series["west"]
     series.measure = lambda _: Measures(*4 * (1.0,))
     for n in range(70_000):
-        series.add(image(1, n * 1.01 * MIN_GAP_S))
+        series.watch(image(1, n * 1.01 * MIN_GAP_S))
     time = series.series(SERIES_S, 100_000).time
     assert time[-1] - time[0] == pytest.approx(SERIES_S, abs=2 * MIN_GAP_S)
 
 
 def test_a_series_is_of_the_last_seconds_and_keeps_peaks_where_it_is_thinned(monitor):
     for n in range(2000):
-        monitor.add(image(90 if n == 1777 else n % 7, n / 100))
+        monitor.watch(image(90 if n == 1777 else n % 7, n / 100))
     time, values, _, unit = monitor.series["west"].series(10, 100_000)
     assert (len(time), unit) == (1001, "kPa")
     assert time[0] == pytest.approx(9.99)
@@ -92,7 +92,7 @@ def test_a_series_is_of_the_last_seconds_and_keeps_peaks_where_it_is_thinned(mon
     assert len(time) == 20
     assert (np.diff(time) > 0).all()
     assert (values[:, 2].max(), time[values[:, 2].argmax()]) == (90, 17.77)
-    monitor.add(image(5, 20.0, "counts"))  # another unit: a series has one
+    monitor.watch(image(5, 20.0, "counts"))  # another unit: a series has one
     time, values, _, unit = monitor.series["west"].series(10, 20)
     assert (len(time), unit, values[0, 0]) == (1, "counts", 5)
     summary = monitor.series["west"].summary()
@@ -101,14 +101,14 @@ def test_a_series_is_of_the_last_seconds_and_keeps_peaks_where_it_is_thinned(mon
 
 def test_another_threshold_leaves_peaks_and_series_and_is_judged_anew(monitor):
     for n, kpa in enumerate([30, 60, 45]):
-        monitor.add(image(kpa, n))
+        monitor.watch(image(kpa, n))
     before = monitor.series["west"]
     monitor.drain_crossings()
     monitor.put("west", WEST)  # the same: it is still above
     assert before.exceeded
     limit = Threshold(quantity="peak", above=40.0, below=20.0)
     monitor.put("west", WEST.model_copy(update={"threshold": limit}))
-    monitor.add(image(45, 3))
+    monitor.watch(image(45, 3))
     assert [(each.above, each.value) for each in monitor.drain_crossings()] == [(True, 45)]
     assert monitor.series["west"] is before
     assert before.summary().highest.peak == 60

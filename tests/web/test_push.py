@@ -83,7 +83,7 @@ def test_a_websocket_takes_json_and_bytes(service, url):
     with stream(url, f"?token={CONTROL}", PATH) as client:
         client.send(f'{{"values": {VALUES.tolist()}, "time": 2000}}')
         first = shown(service, lambda image: image.time == 2000)
-        number = service.push("pad", VALUES)
+        number = service.push_frame("pad", VALUES)
         client.send(HEADER.pack(123.5, number + 7, 1) + (2 * VALUES).astype("<f4").tobytes())
         image = shown(service, lambda image: image.time == 123.5)
         assert image.sequence == first.sequence + 8
@@ -95,7 +95,7 @@ def test_a_websocket_takes_json_and_bytes(service, url):
 def test_a_recording_of_its_bus_holds_the_frame(service):
     """As recordings over REST are made, which `replay` and `export` read."""
     with closing(open_bus(**service.buses["pad"])) as reader:
-        service.push("pad", VALUES, 7, 3000.5)
+        service.push_frame("pad", VALUES, 7, 3000.5)
         messages = [reader.receive(10.0) for _ in range(service.sensor("pad").codec.segments)]
     (frame,), loss = assemble(service.sensor("pad").codec, messages)
     assert (frame.time, loss) == (3000.5, Loss())
@@ -103,11 +103,11 @@ def test_a_recording_of_its_bus_holds_the_frame(service):
 
 
 def test_a_program_that_pushes_as_fast_as_it_can_waits_and_images_stay_new(service):
-    service.push("pad", VALUES, 80_000, 0.0)
+    service.push_frame("pad", VALUES, 80_000, 0.0)
     shown(service, lambda image: image.time == 0.0)
     shown_late = []
     for n in range(1, 500):
-        service.push("pad", VALUES, 80_000 + n, float(n))
+        service.push_frame("pad", VALUES, 80_000 + n, float(n))
         shown_late.append(n - service.sensor("pad").newest.time)
     queue = service.buses["pad"]["rx_queue_size"] / service.sensor("pad").codec.segments
     assert max(shown_late) <= queue + 3  # frames; two more are in the hands of either end

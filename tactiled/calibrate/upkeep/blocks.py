@@ -54,7 +54,7 @@ class Blocks:
         self._began_s = -np.inf
         self._step = np.inf
 
-    def push(self, time_s: float, counts: Counts, flags: Flags) -> Block | None:
+    def collect(self, time_s: float, counts: Counts, flags: Flags) -> Block | None:
         """Take a frame, (N,) counts and flags; gives a block once it is complete."""
         if not self._frames:
             if 0 <= time_s - self._began_s < BLOCK_PERIOD_S:

@@ -33,7 +33,7 @@ class MapMonitor:
         """Whether the load is worth a look."""
         return not 0 <= time_s - self._looked_at < PERIOD_S
 
-    def push(self, time_s: float, load: Floats32, sigma: Floats32) -> None:
+    def observe(self, time_s: float, load: Floats32, sigma: Floats32) -> None:
         """Take a load and its noise, (N,) counts, 0 where unknown; only one that has moved is kept."""
         self._looked_at, frames = time_s, self._frames
         if len(frames) >= WINDOW_FRAMES or not (load > CLEAR_SIGMAS * sigma).any():

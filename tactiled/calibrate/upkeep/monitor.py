@@ -62,7 +62,7 @@ class SkinMonitor:
         self._tracks = False  # whether they were measured
         self._changes: deque[Change] = deque(maxlen=array.size)
 
-    def push(self, frame: RawFrame, calibrator: Calibrator) -> bool:
+    def observe(self, frame: RawFrame, calibrator: Calibrator) -> bool:
         """Take a frame; now and then correct the calibrator, and say so."""
         if self._tares != calibrator.tares:
             self._restart(calibrator)
@@ -70,8 +70,8 @@ class SkinMonitor:
             load = calibrator.pressure(frame.counts) / np.float32(self._per_count)
             unknown = frame.flags & (MISSING | BAD) > 0
             unread = unknown | calibrator.dead | np.isin(self._health.faults, UNRELATED)
-            self.map.push(frame.time, np.where(unread, np.float32(0), load), self._noise.sigma)
-        block = self._blocks.push(frame.time, frame.counts, frame.flags)
+            self.map.observe(frame.time, np.where(unread, np.float32(0), load), self._noise.sigma)
+        block = self._blocks.collect(frame.time, frame.counts, frame.flags)
         if block is None:
             return False
         load = calibrator.pressure(block.mean) / np.float32(self._per_count)

@@ -129,7 +129,7 @@ class ReaderPublisher:
             if name not in self._publications:
                 self._publications[name] = _Publication(self, session, sensor)
         for each in self._publications.values():
-            each.publish(time.monotonic())
+            each.send_due(time.monotonic())
         while self._events:
             event = self._events.popleft()
             if not event.kind.startswith("sensor_"):  # a server has its own: it sees more
@@ -165,7 +165,7 @@ class _Publication:
         self._waiting.append((image, self._number))
         self._publisher.wake.set()
 
-    def publish(self, now: float) -> None:
+    def send_due(self, now: float) -> None:
         """Send what is new at `now` (s, monotonic)."""
         if not self._publishers:
             if now >= self._look_at:
@@ -176,7 +176,7 @@ class _Publication:
             image, number = self._waiting.popleft()
             self._send(image, number)
             if self._ros:
-                self._ros.publish(image)
+                self._ros.send(image)
         key = self.sensor.state, self.sensor.method
         if key != self._state_key or now - self._state_at >= HEARTBEAT_S:
             self._state_key, self._state_at = key, now

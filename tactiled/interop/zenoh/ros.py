@@ -141,7 +141,7 @@ class Node:
             cache=ext.CacheConfig(endpoint.qos.depth), sample_miss_detection=misses,
         )  # fmt: skip
 
-    def publish(self, image: Image) -> None:
+    def send(self, image: Image) -> None:
         """Publish what is subscribed to of an image, or of a newer one if contacts are; nothing else is made."""
         if self._sensor.plan is not self._plan:
             self._take_plan()

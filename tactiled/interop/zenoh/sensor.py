@@ -294,7 +294,7 @@ class RemoteSensor:
         )  # fmt: skip
         self._image_at, self._transit = now, (raw.made_at, wall)
         self.hub.publish(image)
-        self.history.add(image)
+        self.history.keep(image)
 
     def status(self) -> Status:
         """Health at this moment."""

@@ -116,7 +116,7 @@ def push(sensor: NamedSensor, service: CurrentService, frame: schemas.PushedFram
     """
     service.need_pushed(sensor.name)  # says so of any values
     try:
-        number = service.push(sensor.name, as_array(frame.values), frame.sequence, frame.time)
+        number = service.push_frame(sensor.name, as_array(frame.values), frame.sequence, frame.time)
     except BusError as error:
         raise Problem(503, f"sensor {sensor.name!r}: {error}", SOON) from error
     return schemas.PushedNumber(sequence=number)

@@ -52,7 +52,7 @@ class Feed:
     def listen(self, wake: Callable[[], None]) -> Iterator[None]:
         """Call `wake` now, and whenever there may be a newer image or another state."""
         if not self._clients:
-            self.take(self.sensor.hub.latest())
+            self.renew(self.sensor.hub.latest())
             loop = asyncio.get_running_loop()
             self._stop = self.sensor.hub.subscribe(lambda image: self._images.hand_over(loop, self, image))
         self._clients.add(wake)
@@ -129,7 +129,7 @@ class Feed:
         contacts = answers.contacts(self.sensor)
         return None if contacts is None else ContactsFrame(contacts.sequence, frame(contacts.model_dump_json()))
 
-    def take(self, image: Image | None) -> None:
+    def renew(self, image: Image | None) -> None:
         """Wake every client for a new image."""
         self.image = image
         self._frames.clear()
@@ -167,7 +167,7 @@ class _NewImages:
                 images, self._images = self._images, {}
             for feed, image in images.items():
                 try:
-                    feed.take(image)
+                    feed.renew(image)
                 except Exception as error:  # must not disturb clients of other sensors
                     loop.call_exception_handler({"message": f"stream of {feed.sensor.name}", "exception": error})
 

@@ -46,7 +46,7 @@ def make(service: "Service", server: Server) -> APIRouter:
             service.need_pushed(unquote(name))
             while True:
                 values, sequence, time_s = _frame(await socket.receive())
-                await run_in_threadpool(service.push, unquote(name), values, sequence, time_s)
+                await run_in_threadpool(service.push_frame, unquote(name), values, sequence, time_s)
         except WebSocketDisconnect:
             return
         except BusError as error:

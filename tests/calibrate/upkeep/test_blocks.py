@@ -11,7 +11,7 @@ def test_noise_that_grows_is_followed_and_a_finger_that_rubs_is_none(hz, grows):
         sigma[:8] = 1.0 if n < 3000 else grows
         load = 1000 * np.sin(2 * np.pi * hz * n / 100 + np.arange(64))
         counts = np.round(2000 + load + random.normal(0, sigma)).astype(np.float32)
-        if block := blocks.push(n / 100, counts, np.zeros(64, np.uint8)):
+        if block := blocks.collect(n / 100, counts, np.zeros(64, np.uint8)):
             noise.update(block, block.mean - 2000)
     np.testing.assert_allclose(noise.sigma, sigma, rtol=0.35)
 
@@ -22,7 +22,7 @@ def test_a_load_that_moves_while_frames_are_skipped_is_no_noise():
         time_s += 0.01 * random.choice([1, 1, 1, 4, 9])
         load = np.where(np.arange(64) < 32, 300 * (1 + np.sin(2 * np.pi * 0.5 * time_s + np.arange(64))), 0.0)
         counts = np.round(2000 + load + random.normal(0, 1, 64)).astype(np.float32)
-        if block := blocks.push(time_s, counts, np.zeros(64, np.uint8)):
+        if block := blocks.collect(time_s, counts, np.zeros(64, np.uint8)):
             noise.update(block, block.mean - 2000)
     np.testing.assert_allclose(noise.sigma[32:], 1, rtol=0.25)
     assert noise.reliable[32:].all()

@@ -54,7 +54,7 @@ class Run:
             pressed = FULL_SCALE * self.gain * (load(t) if callable(load) else load)
             noise = self.random.standard_normal(self.gain.size, np.float32) * self.noise * FULL_SCALE
             counts = np.round(self.no_load + self.sign * (pressed + self.drifted) + noise).astype(np.float32)
-            if block := self.blocks.push(self.time_s, counts, np.zeros(counts.size, np.uint8)):
+            if block := self.blocks.collect(self.time_s, counts, np.zeros(counts.size, np.uint8)):
                 self.level.update(block, block.mean)
                 of_pads = None if references is None else np.round(references(t)).astype(np.float32)
                 self.tracker.update(block, self.level.sigma, self.sound, of_pads)

@@ -75,7 +75,7 @@ def test_a_skin_without_a_known_ceiling_is_not_saturated(no_load, gain):
     monitor = SkinMonitor(skin.array, skin.kernel, calibration, (-np.inf, np.inf), 0xFFFF)
     for n in range(960):
         counts = np.round(random.normal(no_load, 5, 16)).astype(np.float32)
-        monitor.push(RawFrame(n, n / SLOW_HZ, 0.0, counts, np.zeros(16, np.uint8), Loss()), calibrator)
+        monitor.observe(RawFrame(n, n / SLOW_HZ, 0.0, counts, np.zeros(16, np.uint8), Loss()), calibrator)
     assert not monitor.state.faults.any()
 
 
@@ -123,7 +123,7 @@ def on_quiet_skin(spoil, seconds=80, presses=False, noise=0.4, rate_hz=20.0, fau
         counts = np.clip(np.round(counts), 0, 255).astype(np.float32)
         if t > 25:
             counts[faulty] = spoil(t, counts[faulty])
-        monitor.push(RawFrame(n, t, 0.0, counts, np.zeros(144, np.uint8), Loss()), calibrator)
+        monitor.observe(RawFrame(n, t, 0.0, counts, np.zeros(144, np.uint8), Loss()), calibrator)
     assert {each.taxel for each in monitor.drain_changes()} <= {faulty}
     return {int(each): Fault(monitor.state.faults[each]) for each in np.flatnonzero(monitor.state.faults)}
 

@@ -26,7 +26,7 @@ def watched(frames, wire=RIGHT, monitor=None):
     """A monitor that has seen frames which the skin sends in the order `wire`."""
     monitor = monitor or MapMonitor(plan((SIDE, SIDE)).array)
     for n, frame in enumerate(frames):
-        monitor.push(n / 10, frame[wire], np.full(SIDE**2, NOISE, np.float32))
+        monitor.observe(n / 10, frame[wire], np.full(SIDE**2, NOISE, np.float32))
         monitor.judge()
     return monitor
 

@@ -19,7 +19,7 @@ def test_swapped_taxels_are_found_masked_and_logged_and_all_is_undone_when_they_
             sequence += 1
             load = contact(place, np.array([1.0]), array, width_mm=1.1)[0] / GAIN
             load[list(wrong)] = load[list(wrong)[::-1]]
-            monitor.map.push(sequence / 10, (load + random.normal(0, 1, array.size)).astype(np.float32), sigma)
+            monitor.map.observe(sequence / 10, (load + random.normal(0, 1, array.size)).astype(np.float32), sigma)
             counts, flags = np.full(array.size, NO_LOAD, np.uint16), np.zeros(array.size, np.uint8)
             rig.sensor.restore(RawFrame(sequence, sequence / 10, 0.0, counts, flags, Loss(), sequence / 10))
 
