@@ -14,7 +14,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from tactiled.build import SensorPlan
 from tactiled.contacts.regions import Measures
 from tactiled.frames import Image, Message
-from tactiled.live.contact_tracking import ImageContacts
+from tactiled.live.contact_search import ImageContacts
 from tactiled.messages import ros
 from tactiled.units import nanoseconds
 

@@ -13,7 +13,7 @@ import rerun as rr
 from tactiled.build import SensorPlan
 from tactiled.contacts.regions import Measures
 from tactiled.frames import Image, Message
-from tactiled.live.contact_tracking import ImageContacts
+from tactiled.live.contact_search import ImageContacts
 from tactiled.messages import rerun as rerun_images
 
 COPY_BYTES = 1 << 20  # at once

@@ -1,12 +1,11 @@
-"""Contacts: found in a restored image, and the same contact from image to image."""
+"""Contacts: found in a restored image."""
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from math import nan
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
 from tactiled.arrays import Floats, Floats32, Mask, Reals
 from tactiled.contacts.felt import is_known
@@ -24,14 +23,7 @@ SKIRT_SHARE = 0.1  # of the highest peak that counts, below which a cell is a sk
 MAX_PEAKS = 512  # of an image: the time of all steps grows with the square of their number
 DIP_SHARE = 0.3  # of the same, by which the pressure dips between two contacts
 PART_SHARE, JOIN_SHARE = 0.4, 0.2  # the same where in the image before they were one contact, or two
-
-MAX_STEP_PITCHES = 3.0  # from where a contact was, or should be by its speed
-MAX_FAINT_STEP_PITCHES = 1.0  # the same of one that has become faint
-MAX_LONE_SPEED = 100.0  # pitches a second that one may go beyond that where no other is near
-SPEED_GAIN = 0.5  # share of the difference from the predicted place that changes the speed
-GONE_AFTER_S = 0.2  # until then a contact may come back
 OUTLINE_SIGMAS = 2.0  # standard deviations of a contact's pressure from its centre to the ellipse that shows it
-FORBIDDEN = 1e6  # cost of a link: more than any number of links within reach
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,86 +196,3 @@ def _saddles(picture: Floats, basins: Labels) -> list[tuple[int, int, float]]:
     _, first = np.unique(low[order] * (basins.max() + 1) + high[order], return_index=True)
     order = order[np.sort(first)]
     return list(zip(low[order].tolist(), high[order].tolist(), saddle[order].tolist(), strict=True))
-
-
-@dataclass(slots=True)
-class _Track:
-    """A contact from image to image."""
-
-    id: int
-    place: Floats  # (2,) mm, in the last image that had it
-    speed: Floats  # (2,) mm/s
-    age: float = 0.0  # s since then
-
-    def predicted(self) -> Floats:
-        """Where it should be now, mm."""
-        return self.place + self.speed * self.age if self.age <= GONE_AFTER_S else self.place
-
-    def move(self, place: Floats) -> None:
-        """It is at a place (mm) now."""
-        if self.age > GONE_AFTER_S:
-            self.speed = np.zeros(2)
-        elif self.age > 0:
-            self.speed = self.speed + SPEED_GAIN * (place - self.predicted()) / self.age
-        self.place, self.age = place, 0.0
-
-
-class Tracker:
-    """Gives a contact the same id from image to image.
-
-    It links as many as it can within a reach of where they were or should be, by the shortest ways; then the
-    others, if they are alone, over the way that swift ones go. A contact may come back within GONE_AFTER_S.
-    """
-
-    def __init__(self, pitch_mm: float) -> None:
-        self._pitch = pitch_mm
-        self._tracks: list[_Track] = []
-        self._time = 0.0
-        self._next_id = 1
-
-    @property
-    def holds(self) -> bool:
-        """Whether there is a contact that may go on."""
-        return bool(self._tracks)
-
-    def __call__(self, contacts: list[Contact], time: float, begin: float) -> list[Contact]:
-        """The contacts of an image at `time` (s), with ids; of those with a peak below `begin` none begins."""
-        elapsed, self._time = max(0.0, time - self._time), time
-        for each in self._tracks:
-            each.age += elapsed
-        clear = np.array([each.peak > begin for each in contacts], bool)
-        places = np.array([(each.x_mm, each.y_mm) for each in contacts]).reshape(-1, 2)
-        links = self._links(places, clear, elapsed)
-        named = []
-        for number, contact in enumerate(contacts):
-            track = links.get(number)
-            if track is None and clear[number]:
-                track = self._begin(places[number])
-            if track is not None:
-                track.move(places[number])
-                named.append(replace(contact, id=track.id))
-        self._tracks = [each for each in self._tracks if each.age < GONE_AFTER_S]
-        return named
-
-    def _begin(self, place: Floats) -> _Track:
-        track, self._next_id = _Track(self._next_id, place, np.zeros(2)), self._next_id + 1
-        self._tracks.append(track)
-        return track
-
-    def _links(self, places: Floats, clear: Mask, elapsed: float) -> dict[int, _Track]:
-        """The tracks that these contacts go on, by the contacts' numbers; `elapsed` (s) since the last image."""
-        if not len(places) or not self._tracks:
-            return {}
-        ends = np.array([[each.place for each in self._tracks], [each.predicted() for each in self._tracks]])
-        distance = np.linalg.norm(places[:, None] - ends[:, None], axis=-1).min(axis=0) / self._pitch
-        within = distance <= np.where(clear, MAX_STEP_PITCHES, MAX_FAINT_STEP_PITCHES)[:, None]
-        pairs = zip(*linear_sum_assignment(np.where(within, distance, FORBIDDEN)), strict=True)
-        links = {int(row): int(column) for row, column in pairs if within[row, column]}
-        if elapsed <= GONE_AFTER_S:
-            swift = (distance <= MAX_STEP_PITCHES + MAX_LONE_SPEED * elapsed) & clear[:, None]
-            lone = swift & (swift.sum(axis=0) == 1) & (swift.sum(axis=1, keepdims=True) == 1)
-            lone[list(links)] = False
-            lone[:, list(links.values())] = False
-            in_last_image = np.array([each.age <= elapsed for each in self._tracks])
-            links |= {int(row): int(column) for row, column in np.argwhere(lone & in_last_image)}
-        return {row: self._tracks[column] for row, column in links.items()}

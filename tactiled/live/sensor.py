@@ -15,7 +15,7 @@ from tactiled.contacts.detection import Contact
 from tactiled.errors import LoadedError, NoShearError, NotLiveError, TareStateError
 from tactiled.frames import FrameWarning, Image, RawFrame
 from tactiled.geometry import tiling
-from tactiled.live.contact_tracking import ContactTracking
+from tactiled.live.contact_search import ContactSearch
 from tactiled.live.hand_over import HandOver
 from tactiled.live.health import Health, State, Status
 from tactiled.live.history import History
@@ -50,7 +50,7 @@ class Sensor:
         self.hand_over = HandOver(self.name, self._restore_in_time)
         self.budget_share = BUDGET_SHARE  # set by the service, from the number of its sensors
         self.former: tuple[CalibrationFile, ...] = ()  # the newest first; those that were not written
-        self._tracking = ContactTracking(plan.name, self.hub, plan.array, plan.cells, self.deviation)
+        self._tracking = ContactSearch(plan.name, self.hub, plan.array, plan.cells, self.deviation)
         self._between_frames = threading.Lock()  # is held while a frame is processed
         self._warnings: dict[str, FrameWarning] = {}  # by code, since they were last drained
         self._warnings_lock = threading.Lock()

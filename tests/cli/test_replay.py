@@ -13,7 +13,7 @@ from tactiled.bus.router import Router
 from tactiled.cli.replay import replaying
 from tactiled.config import parse
 from tactiled.frames import Image, Message
-from tactiled.live.contact_tracking import ImageContacts
+from tactiled.live.contact_search import ImageContacts
 from tests.cli.commands import TACTILED, refusal
 from tests.cli.recordings import CODEC, CONFIG, FRAMES, counts, traffic, write
 from tests.conftest import BUSY_S, Clock, ask, problem, until

@@ -3,7 +3,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tactiled.contacts.detection import MAX_PEAKS, Contact, Finder, Tracker
+from tactiled.contacts.detection import MAX_PEAKS, Contact, Finder
+from tactiled.contacts.tracking import Tracker
 from tactiled.geometry import grid, layout, raster
 from tactiled.restore.methods import make
 from tactiled.simulate.array import Surface

@@ -2,7 +2,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from tactiled.live.contact_tracking import ImageContacts
+from tactiled.live.contact_search import ImageContacts
 from tactiled.live.noise import NOISE_FRAMES
 from tactiled.live.pipeline import Pipeline
 from tests.conftest import NO_LOAD, SIDE, pressed

@@ -16,7 +16,7 @@ from tactiled.frames import Image, Loss
 from tactiled.geometry import Array, raster, spacing
 from tactiled.interop.zenoh import messages
 from tactiled.interop.zenoh.session import HEARTBEAT_S, LOST_AFTER_S, Answer, Head, Request
-from tactiled.live.contact_tracking import ContactTracking
+from tactiled.live.contact_search import ContactSearch
 from tactiled.live.health import State, Status
 from tactiled.live.history import History
 from tactiled.live.hub import Hub
@@ -210,7 +210,7 @@ class RemoteSensor:
         self._image_at: float | None = None  # s, monotonic: the newest image
         self._transit = 0.0, 0.0  # s, Unix: when that was made, by the reader's clock, and came, by ours
         self._detail: tuple[bytes | None, dict[str, Any]] = None, {}  # as it came, and as an image has it
-        self._tracking = ContactTracking(self.name, self.hub, self.array, self.cells)
+        self._tracking = ContactSearch(self.name, self.hub, self.array, self.cells)
         self._tracking.start()
 
     @property

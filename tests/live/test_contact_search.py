@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from tactiled.contacts.detection import Finder
-from tactiled.live import contact_tracking
+from tactiled.live import contact_search
 from tests.conftest import GAIN, NO_LOAD, SIDE, until
 
 
@@ -43,7 +43,7 @@ def test_a_contact_that_moves_between_two_questions_keeps_its_id(rig):
 
 
 def test_searches_have_a_steady_pace_and_end_some_time_after_the_last_question(rig, searches, monkeypatch):
-    monkeypatch.setattr(contact_tracking, "ASKED_S", 0.6)
+    monkeypatch.setattr(contact_search, "ASKED_S", 0.6)
     with rig.playing(200):
         until(rig.sensor.hub.latest)
         time.sleep(0.3)
@@ -51,7 +51,7 @@ def test_searches_have_a_steady_pace_and_end_some_time_after_the_last_question(r
         asked_at = time.monotonic()
         rig.sensor.contacts()
         until(lambda: len(searches) > 4)
-        assert np.diff(searches).min() > 0.8 * contact_tracking.LOOK_S
+        assert np.diff(searches).min() > 0.8 * contact_search.LOOK_S
         until(lambda: time.monotonic() > asked_at + 0.8)
         count = len(searches)
         time.sleep(0.3)
@@ -66,7 +66,7 @@ def test_a_search_that_fails_raises_to_the_question_and_ends_no_search(rig, sear
     with monkeypatch.context() as broken:
         broken.setattr(Finder, "__call__", lambda *_, **__: 1 / 0)
         rig.show(bump(2.4))
-        time.sleep(3 * contact_tracking.LOOK_S)
+        time.sleep(3 * contact_search.LOOK_S)
         with pytest.raises(ZeroDivisionError):
             ids(rig)
     count = len(searches)

@@ -7,7 +7,8 @@ from contextlib import suppress
 from functools import partial
 
 from tactiled.arrays import Floats32
-from tactiled.contacts.detection import BEGIN_SIGMAS, Contact, Finder, Tracker
+from tactiled.contacts.detection import BEGIN_SIGMAS, Contact, Finder
+from tactiled.contacts.tracking import Tracker
 from tactiled.frames import Image
 from tactiled.geometry import Array, Raster
 from tactiled.live.hub import Hub
@@ -38,7 +39,7 @@ class ImageContacts:
         return tuple(self._tracker(contacts, time_s, BEGIN_SIGMAS * noise))
 
 
-class ContactTracking:
+class ContactSearch:
     """Looks for contacts on request, and in between on its own thread, so that none is lost between requests."""
 
     def __init__(
