@@ -116,7 +116,7 @@ class Assembler:
             if step > 1:
                 self.count("lost", (step - 1) * self.codec.segments)
             self._wire, self._sequence = sequence, self._sequence + step
-            frame = self._open = OpenFrame(self.codec, readings.payloads, float(readings.times[at]))
+            frame = self._open = OpenFrame(self.codec, float(readings.times[at]))
         if frame.present[segment]:
             self.count("repeated")
             if not frame.same_payload(segment, readings.payloads[at]):

@@ -18,11 +18,11 @@ SEAM_FRAMES = 3  # frames in a row with the longest pause at one place, after wh
 class OpenFrame:
     """A frame of which not every segment has come yet."""
 
-    def __init__(self, codec: Codec, payloads: NDArray[Any], time: float) -> None:
-        """`payloads` give the type and width; `time` (s) is that of one of the frame's messages."""
+    def __init__(self, codec: Codec, time: float) -> None:
+        """`time` (s) is that of one of the frame's messages."""
         self.began = self.ended = time
         self.arrived = 0.0  # s, when its newest message came
-        self.payloads = np.zeros((codec.segments, *payloads.shape[1:]), payloads.dtype)
+        self.payloads: NDArray[Any] | None = None  # (segments, ...) once the first has come
         self.present = np.zeros(codec.segments, np.bool_)
         self._marks, self._ordered = self.present.view(np.uint8), codec.ordered
         self.missing = codec.segments
@@ -44,8 +44,13 @@ class OpenFrame:
             readings.segments, sequences, readings.times, each_came,
             at, self._marks, self.missing, self._ordered, rank, length,
         )  # fmt: skip
-        segments = readings.segments[at:end]
-        self.payloads[segments] = readings.payloads[at:end]
+        segments, payloads = readings.segments[at:end], readings.payloads[at:end]
+        if end - at == len(self.present) and not late:  # all of them, in order
+            self.payloads = payloads
+        else:
+            if self.payloads is None:
+                self.payloads = np.zeros((len(self.present), *payloads.shape[1:]), payloads.dtype)
+            self.payloads[segments] = payloads
         self.missing -= end - at
         self.arrived, newest = (last, newest) if isinstance(came, np.ndarray) else (came, came)
         self.began, self.ended = min(self.began, began), max(self.ended, ended)
@@ -58,10 +63,11 @@ class OpenFrame:
 
     def same_payload(self, segment: int, payload: Any) -> bool:
         """Whether a segment has this payload."""
-        return bool(np.all(self.payloads[segment] == payload))
+        return self.payloads is not None and bool(np.all(self.payloads[segment] == payload))
 
     def used_payloads(self) -> Sequence[bytes | None]:
         """The payloads that are not disputed."""
+        assert self.payloads is not None
         if self.disputed:
             self.present[list(self.disputed)] = False
         if self.payloads.dtype == object:

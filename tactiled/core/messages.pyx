@@ -42,7 +42,7 @@ def well_formed(
     return count
 
 
-def unpack(const unsigned char[:, ::1] payloads, int bits, long taxels, unsigned short[::1] out):
+def unpack(const unsigned char[:, :] payloads, int bits, long taxels, unsigned short[::1] out):
     """Fill `out` (N,) with numbers of 8 to 16 bits, the least bit first, `taxels` in each row of `payloads`.
 
     ValueError where they do not hold as many.
@@ -50,7 +50,8 @@ def unpack(const unsigned char[:, ::1] payloads, int bits, long taxels, unsigned
     cdef long rows = payloads.shape[0], width = payloads.shape[1], n = out.shape[0], at = 0, i, k, bit
     cdef unsigned int value, mask = (1u << bits) - 1
     cdef const unsigned char *byte
-    if not (8 <= bits <= 16 and taxels > 0 and min(taxels, n) * bits <= 8 * width and n <= rows * taxels):
+    if not (8 <= bits <= 16 and taxels > 0 and min(taxels, n) * bits <= 8 * width and n <= rows * taxels
+            and (width == 1 or payloads.strides[1] == 1)):
         raise ValueError("unpack: payloads do not hold so many numbers")
     with nogil:
         for i in range(rows):
