@@ -4,7 +4,7 @@ Trained by `python -m tests.bench train` on scenes and arrays that no claim is m
 the logarithm of its image's deviation, too.
 """
 
-from functools import cache
+from functools import cache, lru_cache
 from math import log
 from pathlib import Path
 from typing import NamedTuple
@@ -109,7 +109,7 @@ class Learned:
 
     def __init__(self, scene: Scene, wiener: Wiener) -> None:
         self._scene, self._wiener = scene, wiener
-        self._stages = Stages(weights(), cell_maps(scene))
+        self._stages = Stages(cell_maps(scene))
         rows, columns = scene.blur.surface_shape
         self._conditions = Conditions(scene)
         self._images = np.empty((IMAGES, rows, columns), np.float32)
@@ -152,19 +152,28 @@ class Learned:
         return len(stages.tuned)
 
 
+@lru_cache(maxsize=16)  # of the arrays in use: alike ones share what is much larger than their images
+def _drawn(shape: tuple[int, ...], maps: bytes) -> tuple[Image, Image]:
+    """Give the kernels of the filters for a stage's images, and what they draw from the array's maps."""
+    trained, (_, rows, columns) = weights(), shape
+    stages, filters = trained.redraw.shape[:2]
+    taps = np.moveaxis(trained.redraw.reshape(stages, filters, KERNEL, KERNEL, INPUTS), -1, 2)
+    padded = np.pad(np.frombuffer(maps, np.float32).reshape(shape), ((0, 0), (1, 1), (1, 1)))
+    around = sliding_window_view(padded, (KERNEL, KERNEL), (1, 2))
+    fixed = np.zeros((stages, filters, rows, columns + 1), np.float32)
+    fixed[..., :-1] = np.einsum("sfiab,ircab->sfrc", taps[:, :, IMAGES:], around)
+    return np.ascontiguousarray(np.moveaxis(taps[:, :, :IMAGES], 1, -1)), fixed
+
+
 class Stages:
     """What was trained, in the order of memory that redraws fast, for an array's `maps` (see cell_maps)."""
 
-    def __init__(self, trained: Weights, maps: Image) -> None:
-        self._trained, (rows, columns) = trained, maps.shape[1:]
+    def __init__(self, maps: Image) -> None:
+        self._trained = trained = weights()
         stages, filters = trained.redraw.shape[:2]
-        taps = np.moveaxis(trained.redraw.reshape(stages, filters, KERNEL, KERNEL, INPUTS), -1, 2)
-        self.kernels = np.ascontiguousarray(np.moveaxis(taps[:, :, :IMAGES], 1, -1))
+        self.kernels, self.fixed = _drawn(maps.shape, maps.tobytes())
         self.draw = trained.draw.reshape(stages, KERNEL, KERNEL, filters)
         self._doubt = trained.doubt.reshape(KERNEL, KERNEL, filters)
-        around = sliding_window_view(np.pad(maps, ((0, 0), (1, 1), (1, 1))), (KERNEL, KERNEL), (1, 2))
-        self.fixed = np.zeros((stages, filters, rows, columns + 1), np.float32)
-        self.fixed[..., :-1] = np.einsum("sfiab,ircab->sfrc", taps[:, :, IMAGES:], around)
         self._tuned = np.zeros(trained.tune.shape[1], np.float32)
         self.tuned = self._tuned[:-1].reshape(stages, -1)  # each stage's scales, offsets and firmness
 
