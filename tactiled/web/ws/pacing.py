@@ -4,12 +4,17 @@ TCP hides a reader that has stopped behind megabytes of buffers, full of images 
 a ping follows every few messages; a client answers when it has read that far. Until then `ready` waits, before a
 stream takes the newest image. A client that answered late, or has not answered yet, gets a ping after every frame,
 and the next frame after its answer.
+
+Python's `websockets` answers pings before the program has read what came before them. But it reads no further
+ahead than QUEUE WebSocket frames. So an image that nobody requested goes in as many frames as fill that queue
+within BEHIND_S at the rate at which images are sent: many for a slow client, one for a quick one.
 """
 
 import asyncio
 import time
 from collections import deque
 from collections.abc import Sequence
+from math import ceil
 from typing import Any, cast
 
 from fastapi import WebSocket as AcceptedSocket
@@ -21,8 +26,18 @@ PING_EVERY = 4  # messages
 REQUESTED = 1 / 8  # a message that the client requested counts as so many: its next request says that it reads
 MAX_UNANSWERED = 2  # pings: at most PING_EVERY * MAX_UNANSWERED messages are on their way, and few more
 LATE_S = 0.1  # an answer after so long is late: the client is slow, or far away
+QUEUE = 16  # frames
+BEHIND_S = 0.2
+APART_S = 0.02  # from an image that fills the queue to its ping
+SHARE = 1 / 8  # of the newest period in the mean one
+CONTINUED, LAST = b"\x00\x00", b"\x80\x00"  # frames of a message, without data
 MARK = b"tactiled"  # of these pings
 PING = bytes((0x80 | Opcode.PING, len(MARK) + 8)) + MARK  # the frame of such a ping, but for its number
+
+
+def in_parts(frame: bytes, parts: int) -> bytes:
+    """The frame of a message as so many of them: the others are empty."""
+    return bytes((frame[0] & 0x7F,)) + frame[1:] + (parts - 2) * CONTINUED + LAST if parts > 1 else frame
 
 
 def protocol(socket: AcceptedSocket) -> "PacedWebSocket":
@@ -36,6 +51,7 @@ class PacedWebSocket(WebSocket):
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
         self._unpinged = 0.0  # messages since the newest ping
+        self._sent_at, self._period_s = 0.0, 1.0  # of images that nobody requested
         self._pings = 0
         self._unanswered: deque[float] = deque()  # when each of the last pings was sent
         self._quick = False  # the last answer was not late
@@ -60,14 +76,32 @@ class PacedWebSocket(WebSocket):
         self._unpinged += len(frames) * (REQUESTED if requested else 1)
         now, waiting = time.monotonic(), self._unanswered
         self._quick = self._quick and not (waiting and now > waiting[0] + LATE_S)
-        strict = requested is False and not self._quick
-        if strict or self._unpinged >= PING_EVERY:
+        parts = self._parts(len(frames), now) if frames and requested is False else 1
+        frames = [in_parts(each, parts) for each in frames]
+        fills = parts > QUEUE
+        strict = requested is False and (fills or not self._quick)
+        self.transport.writelines(frames)
+        if strict or parts > 1 or self._unpinged >= PING_EVERY:
             self._unpinged, self._pings = 0.0, self._pings + 1
             waiting.append(now)
-            frames = [*frames, PING + self._pings.to_bytes(8, "big")]
             if strict or len(waiting) >= MAX_UNANSWERED:
                 self._keeps_up.clear()
-        self.transport.writelines(frames)
+            ping = PING + self._pings.to_bytes(8, "big")
+            if fills:  # a ping that came with the image would be answered before the queue is found full
+                asyncio.get_running_loop().call_later(APART_S, self._ping, ping)
+            else:
+                self.transport.write(ping)
+
+    def _ping(self, frame: bytes) -> None:
+        if not self.transport.is_closing():
+            self.transport.write(frame)
+
+    def _parts(self, images: int, now: float) -> int:
+        """In how many frames each of so many images goes now."""
+        period = min((now - self._sent_at) / images, 1.0)
+        self._sent_at = now
+        self._period_s += SHARE * (period - self._period_s)
+        return min(ceil(QUEUE * self._period_s / BEHIND_S), QUEUE + 1)
 
     def handle_pong(self, event: Frame) -> None:
         """Take note of how far the client has read."""

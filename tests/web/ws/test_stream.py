@@ -178,6 +178,7 @@ def test_credit_gives_the_newest_image_once_and_at_most_two_ahead(rig, url):
 def test_a_ping_follows_every_few_messages_and_fewer_those_that_the_client_requests(rig, url, query, monkeypatch):
     frames, receive = [], ClientProtocol.recv_frame
     monkeypatch.setattr(ClientProtocol, "recv_frame", lambda own, each: (frames.append(each), receive(own, each)))
+    monkeypatch.setattr(pacing, "QUEUE", 0)  # no image goes in parts
 
     def pings_follow():
         counts = Counter(each.opcode for each in frames if each.opcode is not Opcode.PING or MARK in each.data)
@@ -214,6 +215,18 @@ def test_a_slow_client_gets_the_newest_frame_once_it_has_read_the_one_before(rig
                 rig.show(pressed(at))
             data = next(data for data in iter(client.recv, None) if isinstance(data, bytes))
             assert unpack(data).sequence == rig.sequence
+
+
+def test_a_library_that_reads_ahead_and_answers_pings_has_no_more_than_an_image_or_two(rig, url):
+    behind = []
+    with stream(url, "?kinds=raw") as client:
+        for _ in range(9):
+            for force in range(5):
+                rig.show(pressed(force))
+            image = images(client, 1)[0]
+            behind.append(rig.sequence - image.sequence)
+            np.testing.assert_allclose(image.values, (pressed(image.sequence % 5) - NO_LOAD) * GAIN, atol=1e-4)
+    assert max(behind) < 20
 
 
 def unread(url):

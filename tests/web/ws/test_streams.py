@@ -36,8 +36,8 @@ def show(rig, name):
     until(lambda: sensor.hub.latest() is not before)
 
 
-def streams(url, query=""):
-    return stream(url, query, SEVERAL)
+def streams(url, query="", **options):
+    return stream(url, query, SEVERAL, **options)
 
 
 @pytest.mark.parametrize("query", ["", "?sensors=palm,tip", "?sensors=tip,palm&kinds=restored"])
@@ -77,7 +77,7 @@ def test_an_error_at_one_sensor_is_a_fault_and_stops_no_other(rig, url, monkeypa
 
 def test_a_failed_search_for_contacts_is_repeated_with_the_next_image(rig, url, monkeypatch):
     monkeypatch.setattr(answers, "contacts", lambda _: 1 / 0)
-    with streams(url, "?kinds=raw&contacts=1") as client:
+    with streams(url, "?kinds=raw&contacts=1", max_queue=None) as client:  # reads ahead, however much
         rig.show(pressed())
         until(lambda: "streams of palm" in rig.service.faults.now)
         monkeypatch.undo()
