@@ -33,6 +33,7 @@ kernel = { model = "layered" }
 calibration = { kpa_per_count = 0.5, no_load = 100, noise_kpa = 0.5 }
 """  # feels none
 TIP = PALM.replace("palm", "tip").replace("fd = true", "fd = true, array_id = 1")
+SCALE = ", no_load = 36864, noise_kpa = 0.1, shear_n_per_count = 0.000016"  # of shear
 X, Y = np.array([100, -200, 0, 1388, -1388, 7]), np.array([1, 2, 3, 4, 5, 6])
 Z = np.full(6, 0x9000)
 

@@ -50,7 +50,7 @@ class McapWriter:
 
     def add_image(self, image: Image, regions: Mapping[str, Measures]) -> None:
         """Write one image, its status and what its regions hold."""
-        for topic, data in zip(self._topics.topics, self._topics.messages(image), strict=True):
+        for topic, data in zip(self._topics.topics, self._topics.messages(image), strict=False):
             self._add(topic, image.time, data)
         if regions:
             self._add(self._regions, image.time, foxglove.regions_message(image.unit, regions))

@@ -55,7 +55,7 @@ class _SensorChannels:
         images_subscribed = any(channel.has_sinks() for channel in self._images)
         contacts_subscribed = self._contacts.has_sinks()
         if images_subscribed:
-            for channel, message in zip(self._images, self._topics.messages(image), strict=True):
+            for channel, message in zip(self._images, self._topics.messages(image), strict=False):
                 channel.log(message, log_time=nanoseconds(image.time))
         if contacts_subscribed and now - self._contacts_sent_at >= CONTACTS_EVERY_S:
             self._contacts_sent_at = now

@@ -130,7 +130,10 @@ class _Surface:
 
 
 class Topics:
-    """One sensor's topics: /NAME/raw, /NAME/restored, /NAME/status and, where its skin feels it, /NAME/shear."""
+    """One sensor's topics: /NAME/raw, /NAME/restored, /NAME/status and, where its skin feels it, /NAME/shear.
+
+    The last is /NAME/traction, shear where it is restored.
+    """
 
     def __init__(self, plan: SensorPlan, unit: Unit) -> None:
         name, array, cells = plan.name, plan.array, plan.cells
@@ -142,13 +145,18 @@ class Topics:
         self._restored = _Surface(f"/{name}/restored", cells.shape, cells.positions, cells.side, pressure)
         shear = ("shear_x_counts", "<f4"), ("shear_y_counts", "<f4")
         self._shear = _Surface(f"/{name}/shear", *taxels, *shear) if plan.shears else None
+        drawn, load = (cells.shape, cells.positions, cells.side), (("shear_x_kpa", "<f4"), ("shear_y_kpa", "<f4"))
+        self._traction = _Surface(f"/{name}/traction", *drawn, *load) if plan.restores_shear else None
         self._total = RegionMeter(None, cells)
         status = _json_topic(f"/{name}/status", "tactiled status", STATUS)
         self.topics = [self._raw.topic, self._restored.topic, status]
-        self.topics += [self._shear.topic] if self._shear else []
+        self.topics += [each.topic for each in (self._shear, self._traction) if each]
 
     def messages(self, image: Image) -> list[bytes]:
-        """One image, which is in `unit`, with all that is known of it: a message for each of the topics."""
+        """One image, which is in `unit`, with all that is known of it: a message for each of the topics.
+
+        The last one, of traction, has none before a tare.
+        """
         total = self._total(image)
         status = {key: getattr(image, key) for key in STATUS if hasattr(image, key)} | {
             **{key: value for key, value in total._asdict().items() if key in STATUS and value == value},
@@ -164,6 +172,9 @@ class Topics:
         if self._shear and image.shear is not None:
             x, y = image.shear
             encoded.append(self._shear.message(image.time, shear_x_counts=x, shear_y_counts=y))
+        if self._traction and image.traction is not None:
+            x, y = image.traction
+            encoded.append(self._traction.message(image.time, shear_x_kpa=x, shear_y_kpa=y))
         return encoded
 
 

@@ -32,6 +32,7 @@ TOPICS = {  # a slash in front: of all sensors
     "raw": ("sensor_msgs/msg/Image", SENSOR_DATA),
     "restored": ("sensor_msgs/msg/Image", RELIABLE),
     "shear": ("sensor_msgs/msg/Image", SENSOR_DATA),
+    "traction": ("sensor_msgs/msg/Image", RELIABLE),
     "tactile": ("tactiled_msgs/msg/TactileArray", RELIABLE),
     "regions": ("tactiled_msgs/msg/TactileRegions", RELIABLE),
     "wrench": ("geometry_msgs/msg/WrenchStamped", RELIABLE),
@@ -52,7 +53,12 @@ class Topics:
         self.types, self._plan, self._name, self._taxels = Types(), plan, ros_name(plan.name), tiling(plan.array)
         self._total = RegionMeter(None, plan.cells)
         self._diagnosed: tuple[tuple[str, ...], float] = (), -inf  # codes of warnings, and when (s)
-        own = {"shear": plan.shears, "wrench": plan.unit == PRESSURE, "/tf_static": plan.pose is not None}
+        own = {
+            "shear": plan.shears,
+            "traction": plan.restores_shear,
+            "wrench": plan.unit == PRESSURE,
+            "/tf_static": plan.pose is not None,
+        }
         self.topics = [name for name in TOPICS if own.get(name, True)]
 
     def full_name(self, topic: str) -> str:
@@ -87,6 +93,9 @@ class Topics:
             "raw": lambda: [stamped | _pixels(self._taxels.picture(image.raw))],
             "restored": lambda: [stamped | _pixels(image.restored)],
             "shear": lambda: [stamped | self._shear_pixels(each) for each in (image.shear,) if each is not None],
+            "traction": lambda: [
+                stamped | _pixels(np.moveaxis(each, 0, -1)) for each in (image.traction,) if each is not None
+            ],
             "tactile": lambda: [stamped | self._tactile_fields(image, contacts)],
             "regions": lambda: [stamped | _region_fields(image, regions)] if regions else [],
             "wrench": lambda: [stamped | {"wrench": each} for each in self._wrenches(image, contacts)],

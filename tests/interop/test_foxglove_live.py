@@ -20,7 +20,7 @@ from tactiled.errors import ConfigError, TactileError
 from tactiled.interop.foxglove import Foxglove
 from tactiled.messages import foxglove
 from tests.conftest import BUSY_S, CONFIG, ask, pressed, until
-from tests.skin import X, Y, rigged
+from tests.skin import SCALE, X, Y, Z, rigged
 
 TOPICS = {f"/palm/{name}" for name in ("raw", "restored", "status", "state", "contacts")}
 PROTOCOL = "foxglove.sdk.v1"
@@ -104,14 +104,24 @@ def test_images_are_those_of_rest_and_contacts_lie_to_scale_on_them(rig, url):
 
 
 def test_a_skin_that_feels_shear_has_a_topic_of_it(request):
-    offered = {f"/skin/{name}" for name in ("raw", "restored", "status", "shear", "state", "contacts")}
-    with rigged(request.node.name) as rig, app(rig, {"/skin/shear", "/skin/state"}, offered) as client:
+    offered = {f"/skin/{name}" for name in ("raw", "restored", "status", "shear", "traction", "state", "contacts")}
+    wanted = {"/skin/shear", "/skin/traction", "/skin/state"}
+    with rigged(request.node.name, scale=SCALE) as rig, app(rig, wanted, offered) as client:
         client.next("/skin/state")  # subscribed
         image = rig.show(X, Y)
         grid, at = client.next("/skin/shear")
         for axis, counts in zip("xy", image.shear, strict=True):
             np.testing.assert_array_equal(pressures(grid, f"shear_{axis}_counts"), counts)
-    assert at == round(image.time * 1e9)
+        assert at == round(image.time * 1e9)
+        rig.sensor.tare(force=True)
+        until(lambda: rig.show(X, Y) and rig.sensor.pipeline.tares.done)
+        image = rig.show(X + 2000, Y, Z + 9000)
+        restored = [client.next("/skin/traction")]
+        while restored[-1][1] != round(image.time * 1e9):  # those of frames without load come first
+            restored.append(client.next("/skin/traction"))
+        for axis, load in zip("xy", image.traction, strict=True):
+            np.testing.assert_array_equal(pressures(restored[-1][0], f"shear_{axis}_kpa"), load)
+        assert image.traction[0].max() > 0.5
 
 
 def test_a_calibration_that_is_applied_gives_new_topics_with_their_unit(rig):

@@ -15,6 +15,7 @@ from zenoh import ext
 
 from tactiled.build import sensor_plan
 from tactiled.config import Server, Zenoh, parse
+from tactiled.config.example import SHEAR
 from tactiled.contacts.detection import Contact
 from tactiled.contacts.regions import Region
 from tactiled.interop.zenoh.session import open_session
@@ -207,3 +208,8 @@ def test_a_wrench_has_the_force_along_the_skin_of_the_contact_that_drags():
     np.testing.assert_allclose(forces, [[0.03, 0, 0.5], [0, -0.02, 0.5]], atol=1e-7)
     np.testing.assert_allclose([each.torque.z for each in got], [-0.03e-3, -0.04e-3], atol=1e-9)
     np.testing.assert_allclose([each.torque.x for each in got], [0.5e-3, 3e-3], atol=1e-7)
+    skin = Topics(sensor_plan("skin", parse(SHEAR).sensor["skin"]))
+    ((topic, cdr),) = skin.messages(image, (), {}, {"traction"})
+    picture = skin.types.store.deserialize_cdr(bytes(cdr), "sensor_msgs/msg/Image")
+    assert (topic, picture.encoding) == ("traction", "32FC2")
+    np.testing.assert_array_equal(picture.data.view("<f4").reshape(8, 8, 2), np.moveaxis(traction, 0, -1))

@@ -8,13 +8,12 @@ from PIL import Image
 
 from tactiled.web.server import running
 from tests.conftest import ask, until
-from tests.skin import PALM, Z, rigged
+from tests.skin import PALM, SCALE, Z, rigged
 from tests.viewer.conftest import FITS, LIVE
 
 REST = np.zeros(6, int)
 X = np.array([1000, 0, 0, -600, 300, 900])  # counts; the last taxel is dead
 Y = np.array([0, 0, -800, 600, 520, 900])
-SCALE = ", no_load = 36864, noise_kpa = 0.1, shear_n_per_count = 0.000016"
 PRESSED = Z + np.array([9000, 9000, 0, 9000, 9000, 0])
 KEY = "document.getElementById('shear-key').innerText"
 RESTORED_KEY = "document.getElementById('traction-key')"

@@ -9,11 +9,10 @@ import pytest
 from tactiled.client import connect
 from tactiled.web.rest import frames
 from tests.conftest import problem, until
-from tests.skin import PALM, X, Y, Z, rigged
+from tests.skin import PALM, SCALE, X, Y, Z, rigged
 from tests.web.ws.clients import closed, images, stream, text_of
 
 SHEAR, TRACTION = "/sensors/skin/frames/shear", "/sensors/skin/frames/traction"
-SCALE = ", no_load = 36864, noise_kpa = 0.1, shear_n_per_count = 0.000016"
 
 
 @pytest.fixture
