@@ -105,12 +105,12 @@ class EdgeTouch(Touch):
         positions = self.array.positions
         return np.asarray(positions - (positions.min(axis=0) + positions.max(axis=0)) / 2)
 
-    def transform(self, q: Floats, shared: Floats) -> Floats:
+    def transform(self, q: Floats, size: float, profile: float) -> Floats:
         """Transform of a ridge's pressure (mm), or of the rise across an edge."""
         if np.isinf(self.width):
-            return edge_transform(q, float(shared[PROFILE]))
-        width = float(np.exp(shared[SIZE]))
-        return width * ridge_transform(q, width, float(np.clip(shared[PROFILE], *PROFILES)))
+            return edge_transform(q, float(profile))
+        width = float(np.exp(size))
+        return width * ridge_transform(q, width, float(np.clip(profile, *PROFILES)))
 
     def freed_deviation(self, parameter: int) -> float:
         """Deviation of what is shared where presses refuse its prior."""
@@ -206,7 +206,7 @@ def _first_look(press: Press, touch: EdgeTouch, response: EdgeResponse) -> tuple
     works = np.isfinite(press.mean)
     positions, values = touch.centred[works], press.mean[works]
     q = response.nodes.q
-    spectrum = (touch.family.gain(q, 1.0) * touch.transform(q, touch.prior.shared))[:, None]
+    spectrum = (touch.family.gain(q, 1.0) * touch.transform(q, *touch.prior.shared[[SIZE, PROFILE]]))[:, None]
     best, angles, offsets = (-np.inf, 0.0, 0.0, 0.0), ANGLES, np.arange(-span, span, pitch / 2)
     for _ in range(2):
         for angle in angles:

@@ -14,7 +14,7 @@ from tactiled.calibrate.cover.notes import MAX_MISFIT, edge_objection, unknown_n
 from tactiled.calibrate.cover.presses import Press
 from tactiled.calibrate.cover.recorded_presses import UNCALIBRATED_SPREAD
 from tactiled.calibrate.cover.search import Fitted, Touch, search
-from tactiled.calibrate.cover.unknowns import FACTOR
+from tactiled.calibrate.cover.unknowns import FACTOR, PROFILE, SIZE
 from tactiled.cover import layered
 from tactiled.cover.family import CoverFamily
 from tactiled.cover.stack import Stack
@@ -110,7 +110,7 @@ def _modulus(fitted: Fitted, joint: Joint) -> str:
 
     def spectrum(shared: Floats) -> Floats:
         stack = _stiffer(touch.family, float(np.exp(np.clip(shared[FACTOR], *ENDS))), float(shared[count]))
-        return np.asarray(layered.gain(stack, nodes.q) * touch.transform(nodes.q, shared))
+        return np.asarray(layered.gain(stack, nodes.q) * touch.transform(nodes.q, *shared[[SIZE, PROFILE]]))
 
     model = replace(likelihood.model, spectrum=spectrum, free=(*touch.free, count))
     information = likelihood.information(model, fitted.solution, 1)

@@ -1,7 +1,7 @@
 """The search for a cover's thickness from any touch: coarse, fine, without presses that do not fit."""
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import lru_cache, partial
 from typing import Self
 
 import numpy as np
@@ -47,8 +47,8 @@ class Touch:
     gain_error: Floats  # (N,) relative standard deviation
     prior: Prior  # its `own` is where the search starts
 
-    def transform(self, q: Floats, shared: Floats) -> Floats:
-        """Transform of the load (n,), 1 at q = 0."""
+    def transform(self, q: Floats, size: float, profile: float) -> Floats:
+        """Transform of the load (n,), 1 at q = 0, of what is shared at SIZE and PROFILE."""
         raise NotImplementedError
 
     def model(self, nodes: Quadrature, spectrum: Spectrum, readings: Readings, coarse: bool = False) -> Model:
@@ -100,8 +100,10 @@ class Touch:
         def gain(log_factor: float, poisson: float) -> Floats:
             return self.family.gain(nodes.q, np.exp(np.clip(log_factor, low, high)), poisson)
 
+        load = lru_cache(maxsize=8)(partial(self.transform, nodes.q))  # and slopes in the cover the same load
+
         def once(shared: Floats) -> Floats:
-            return np.asarray(gain(shared[FACTOR], shared[POISSON]) * self.transform(nodes.q, shared))
+            return np.asarray(gain(shared[FACTOR], shared[POISSON]) * load(shared[SIZE], shared[PROFILE]))
 
         if self.scales == ONE:
             return once

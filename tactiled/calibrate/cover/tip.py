@@ -58,9 +58,9 @@ class TipTouch(Touch):
 
     tip: Tip
 
-    def transform(self, q: Floats, shared: Floats) -> Floats:
+    def transform(self, q: Floats, size: float, profile: float) -> Floats:
         """Transform of the tip (n,)."""
-        return tip_transform(q, float(np.exp(shared[SIZE])), float(np.clip(shared[PROFILE], *PROFILES)))
+        return tip_transform(q, float(np.exp(size)), float(np.clip(profile, *PROFILES)))
 
     def model(self, nodes: Quadrature, spectrum: Spectrum, readings: Readings, coarse: bool = False) -> TipModel:
         """The model of `readings`; a coarse one takes apertures for round."""

@@ -8,7 +8,7 @@ that any load does.
 """
 
 from collections.abc import Callable, Iterator
-from functools import partial
+from functools import lru_cache, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -18,7 +18,7 @@ from scipy.spatial import cKDTree
 from tactiled.arrays import Floats32, Ints, Mask, Reals
 from tactiled.cover.kernel import Kernel
 from tactiled.cover.operator import matrix
-from tactiled.geometry import Array
+from tactiled.geometry import Aperture, Array
 
 REACH_PITCHES = 2.3  # of the neighbours that count: 24 on a grid
 CLOSE_PITCHES, CLOSE = 1.6, 8  # of those that feel what lies on a taxel: eight on a grid
@@ -112,35 +112,38 @@ class Neighbourhood:
 
     def _search(self, kind: int, taxel: int) -> None:
         try:
-            offsets = self._places(taxel)
-            reach = float(np.abs(offsets).max()) + BEYOND_PITCHES
-            own, beside = _responses(self._kernel, self._array, offsets, reach, CELL_PITCHES)
-            spots = own > MIN_RESPONSE * own.max()
-            near = _responses(self._kernel, self._array, offsets, CLOSE_PITCHES, CELL_PITCHES / 2)
-            at = near[0] > MIN_RESPONSE * near[0].max()
-            shares = np.hstack([beside[:, spots] / own[spots], near[1][:, at] / near[0][at]])
-            close = np.hypot(*offsets.T) < CLOSE_PITCHES
-            share = float(shares[close].sum(axis=0).min())
-            self._joints[kind] = _Surroundings(_weights(own, beside), close, shares, share)
+            array = self._array
+            taxels = array.pitch, array.width, array.aperture
+            self._joints[kind] = _surroundings(self._kernel, *taxels, self._places(taxel).tobytes())
         finally:
             self._searching = False
 
 
-def _responses(kernel: Kernel, array: Array, places: Reals, reach: float, side: float) -> tuple[Reals, Reals]:
-    """Responses (M,) of a taxel, and (n, M) of its neighbours at `places` (n, 2), to spots of pressure.
+@lru_cache(maxsize=1024)  # arrays under one cover, and the same one once more, have the same
+def _surroundings(kernel: Kernel, pitch: float, width: float, aperture: Aperture, near: bytes) -> _Surroundings:
+    """How the cover joins a taxel and its neighbours, at places (n, 2) of float64 in pitches from it."""
+    offsets = np.frombuffer(near).reshape(-1, 2)
 
-    These are squares of `side` out to `reach`; all in pitches from the taxel.
-    """
-    line = np.arange(-reach + side / 2, reach, side)
-    cells = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
-    taxels = np.vstack([np.zeros((1, 2)), places])
-    responses = []
-    for s in THICKNESSES:  # a thicker cover is as a finer array
-        unit = array.pitch / s
-        scaled = Array(taxels * unit, unit, array.width / s, array.aperture)
-        responses.append(matrix(kernel, scaled, cells * unit, side * unit))
-    own, beside = np.split(np.concatenate(responses, axis=1), [1])
-    return np.maximum(own[0], 0.0), np.maximum(beside, 0.0)
+    def responses(reach: float, side: float) -> tuple[Reals, Reals]:
+        """Responses (M,) of the taxel, and (n, M) of its neighbours, to squares of `side` out to `reach`."""
+        line = np.arange(-reach + side / 2, reach, side)
+        cells = np.stack(np.meshgrid(line, line), axis=-1).reshape(-1, 2)
+        taxels = np.vstack([np.zeros((1, 2)), offsets])
+        found = []
+        for s in THICKNESSES:  # a thicker cover is as a finer array
+            unit = pitch / s
+            scaled = Array(taxels * unit, unit, width / s, aperture)
+            found.append(matrix(kernel, scaled, cells * unit, side * unit))
+        own, beside = np.split(np.concatenate(found, axis=1), [1])
+        return np.maximum(own[0], 0.0), np.maximum(beside, 0.0)
+
+    own, beside = responses(float(np.abs(offsets).max()) + BEYOND_PITCHES, CELL_PITCHES)
+    spots = own > MIN_RESPONSE * own.max()
+    near_own, near_beside = responses(CLOSE_PITCHES, CELL_PITCHES / 2)
+    at = near_own > MIN_RESPONSE * near_own.max()
+    shares = np.hstack([beside[:, spots] / own[spots], near_beside[:, at] / near_own[at]])
+    close = np.hypot(*offsets.T) < CLOSE_PITCHES
+    return _Surroundings(_weights(own, beside), close, shares, float(shares[close].sum(axis=0).min()))
 
 
 def _weights(own: Reals, beside: Reals) -> Reals:
