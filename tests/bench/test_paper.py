@@ -71,7 +71,8 @@ def test_a_spread_load_is_still_the_whole_load_and_filters_more():
     assert spread.gain_at(1.0) < point.gain_at(1.0) - 0.1
 
 
-def test_command_writes_a_page_with_every_statement_and_figure(tmp_path, compared):
+def test_command_writes_a_page_with_every_statement_and_figure(tmp_path, compared, monkeypatch):
+    monkeypatch.setattr(page, "statements", lambda: compared)
     folder = tmp_path / "new" / "folder"
     result = CliRunner().invoke(cli.app, ["paper", str(folder)])
     assert (result.exit_code, result.output.strip()) == (0, str(folder / "index.html")), result.output

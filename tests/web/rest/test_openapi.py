@@ -13,7 +13,7 @@ from tactiled.config import Server
 from tactiled.live.state import StateFile
 from tactiled.web.server import running
 from tests.calibrate.files import calibration_file
-from tests.conftest import BUSY_S, CONTROL, ask, until
+from tests.conftest import BUSY_S, CONTROL, Rig, ask, meanwhile, until
 from tests.web.http.raw import npy
 
 schemathesis.openapi.media_type(
@@ -45,9 +45,12 @@ def url(rig, tmp_path):
         yield url
 
 
-@pytest.fixture
-def openapi(url):
-    return ask("GET", url + "/api/v1/openapi.json").json()
+@pytest.fixture(scope="module")
+def openapi(tmp_path_factory):
+    """The description of a service with every resource."""
+    server = Server(port=0, recordings=tmp_path_factory.mktemp("recordings"))
+    with meanwhile(Rig("openapi")) as rig, running(rig.service, server) as url:
+        return ask("GET", url + "/api/v1/openapi.json").json()
 
 
 def operations(openapi):
