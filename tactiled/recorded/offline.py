@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 
 from tactiled.arrays import Flags, Floats32
 from tactiled.build import SensorPlan, make_codec
-from tactiled.bus.recording import Recording
-from tactiled.bus.replay import AT_ONCE, frames
 from tactiled.bus.router import Router
 from tactiled.chain import Chain
 from tactiled.config import Config
@@ -184,6 +182,11 @@ def read_frame_series(path: Path, name: str, config: Config) -> FrameSeries:
     Where the recording's clock steps back, all times are instead those since its first message, steps left out.
     ConfigError where the recording cannot be read or holds no frame of the sensor.
     """
+    from tactiled.bus.recording import (
+        Recording,
+    )  # which imports python-can, as a server of others' sensors must not
+    from tactiled.bus.replay import AT_ONCE, frames
+
     bus = config.sensor[name].bus
     router = Router({key: make_codec(each) for key, each in config.sensor.items() if each.bus == bus})
     recording, times, arrived, counts = Recording(path, router.ids), [], [], []

@@ -180,7 +180,7 @@ class Settings(Message):
 
 def read(model: type[Model], data: bytes, max_bytes: int) -> Model:
     """A message as its model has it."""
-    name = model.__name__.removesuffix("Head").lower()
+    name = model.__name__.removeprefix("Reported").removesuffix("Head").lower()
     if len(data) > max_bytes:
         raise ValueError(f"{name}: {len(data)} bytes: give {max_bytes} at most")
     try:
