@@ -37,6 +37,7 @@ class Chain:
         self.calibrator = Calibrator(plan.calibration, plan.array.size)
         self.follow = self.calibrator.follow
         self.shear_zero = np.full((2, plan.array.size), np.nan, np.float32)  # counts; NaN: not tared
+        self.shear_rest: Floats | None = None  # the same of a recording that has no tare; None: not measured
         self.noise_ratio: Floats | None = None  # (N,) of each taxel to `noise`; None: none is noisy
         self._checks = FrameChecks(plan.blur, plan.calibration.floor_kpa)
         self._restorers: dict[tuple[str, float], Restorer] = {}  # of a method and a noise
@@ -118,9 +119,10 @@ class Chain:
 
     def _sheared(self, frame: RawFrame, raw: Floats32, flags: Flags) -> Floats | None:
         """Pressure and shear of a frame (3, N) in kPa, NaN where unknown; None where shear is not restored."""
-        if self._traction is None or frame.shear is None or np.isnan(self.shear_zero).all():
+        zero = self.shear_rest if np.isnan(self.shear_zero).all() else self.shear_zero
+        if self._traction is None or frame.shear is None or zero is None:
             return None
-        shear = (frame.shear - self.shear_zero) * self.plan.kpa_per_shear_count
+        shear = (frame.shear - zero) * self.plan.kpa_per_shear_count
         readings = np.concatenate([raw.reshape(1, -1), shear]).astype(float)
         readings[:, flags.ravel() & UNKNOWN > 0] = np.nan
         readings[0, flags.ravel() & SATURATED > 0] = np.nan

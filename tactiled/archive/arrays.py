@@ -50,7 +50,7 @@ class NpzWriter:
 
     def add_image(self, image: Image, regions: Mapping[str, Measures]) -> None:
         """Append one frame."""
-        self._row, self._count = row(image, regions), self._count + 1
+        self._row, self._count = row(image, regions, self._plan), self._count + 1
         for name, array in self._row.items():
             if name not in self._columns:
                 self._columns[name] = self._files.enter_context(self._column(name).open("wb"))
@@ -145,13 +145,23 @@ class _DeferredErrors(io.FileIO):
         return 0
 
 
-def row(image: Image, regions: Mapping[str, Measures]) -> Arrays:
+def loads(image: Image, plan: SensorPlan) -> Arrays:
+    """Restored shear of one frame, of a sensor that restores it, and its deviation, NaN where it is not known."""
+    if not plan.restores_shear:
+        return {}
+    unknown = np.full((2, *image.restored.shape), np.nan, np.float32)
+    found = {"traction": image.traction, "traction_deviation": image.traction_deviation}
+    return {name: unknown if each is None else each.astype("<f4", copy=False) for name, each in found.items()}
+
+
+def row(image: Image, regions: Mapping[str, Measures], plan: SensorPlan) -> Arrays:
     """What an export has of one frame."""
     measures = {"regions": np.array([*regions.values()], "<f4")} if regions else {}
     shear = {} if image.shear is None else {"shear": image.shear.astype("<f4", copy=False)}
     noise = {"noise_kpa": np.array(image.noise, "<f8")} if image.unit == PRESSURE else {}
     return (
         shear
+        | loads(image, plan)
         | noise
         | measures
         | {
@@ -178,6 +188,7 @@ def dimensions(plan: SensorPlan) -> dict[str, tuple[str, ...]]:
     taxels = ("row", "column") if len(plan.array.frame_shape) == 2 else ("taxel",)
     return {
         "raw": ("time", *taxels), "flags": ("time", *taxels), "restored": ("time", "cell_row", "cell_column"),
+        **dict.fromkeys(("traction", "traction_deviation"), ("time", "axis", "cell_row", "cell_column")),
         "shear": ("time", "axis", *taxels), "loss": ("time", "loss_kind"),
         "regions": ("time", "region", "measure"),
         "positions_mm": ("taxel", "axis"), "cells_mm": ("cell", "axis"), **{name: (name,) for name in LABELS},

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactiled.archive.arrays import LOSS_KINDS
+from tactiled.archive.arrays import LOSS_KINDS, loads
 from tactiled.build import SensorPlan
 from tactiled.contacts.regions import Measures, measure_units
 from tactiled.frames import Image, Message
-from tactiled.units import SHEAR, Unit
+from tactiled.units import PRESSURE, SHEAR, Unit
 
 
 def headings(unit: Unit) -> list[str]:
@@ -32,7 +32,7 @@ class CsvWriter:
     def __init__(self, path: Path, plan: SensorPlan) -> None:
         self._file = path.open("w", newline="", encoding="utf-8")
         self._lines = csv.writer(self._file, lineterminator="\n")
-        self._unit = plan.unit
+        self._plan, self._unit = plan, plan.unit
         self._empty = True
         self.close = self._file.close
 
@@ -48,6 +48,8 @@ class CsvWriter:
         }
         for axis, shear in zip("xy", () if image.shear is None else image.shear, strict=False):
             arrays[f"shear_{axis}_{SHEAR}"] = shear
+        for name, both in loads(image, self._plan).items():
+            arrays |= {f"{name}_{axis}_{PRESSURE}": each for axis, each in zip("xy", both, strict=True)}
         if self._empty:
             self._lines.writerow(self._headings(arrays, regions))
             self._empty = False

@@ -19,7 +19,7 @@ from tactiled.errors import ConfigError
 from tactiled.files import sha256
 from tactiled.frames import FLAG_BITS, Message
 from tactiled.live.pipeline import Pipeline
-from tactiled.recorded.noise import measure_noise
+from tactiled.recorded.noise import measure
 from tactiled.units import LENGTH, PRESSURE, SHEAR
 
 UNITS = {"time": "seconds since 1970-01-01", "positions_mm": LENGTH, "cells_mm": LENGTH}  # by the CF conventions
@@ -31,6 +31,8 @@ DESCRIPTIONS = {
     "cells_mm": "(x, y) of the surface cells, in the order of restored",
     "flags": "bits, as in flag_bits",
     "loss": "counts so far, by kind as in loss_kind",
+    "traction": "(x, y) of the tangential load on the cover; NaN where the recording begins under a load",
+    "traction_deviation": "its standard deviation",
     "shear": "(x, y) along the skin's own axes from its nominal rest, as sensed: neither restored nor tared",
 }
 
@@ -55,8 +57,8 @@ class ExportJob(Job):
         plan, count = self.plan(), 0
         codecs = {name: make_codec(each) for name, each in self.sensors.items()}
         router, pipeline = Router(codecs), Pipeline(plan)
-        for noise in measure_noise(Recording(source, router.ids, self.zone), codecs, [plan]).values():
-            pipeline.noise.settle(noise)
+        for found in measure(Recording(source, router.ids, self.zone), codecs, [plan]).values():
+            pipeline.settle(*found)
         recording = Recording(source, router.ids, self.zone)
         meters = self._meters(plan)
         with closing(writer(part.name, self.to)(part, plan)) as target:
@@ -93,8 +95,10 @@ def _tapped(recording: Recording, tap: Callable[[Message], None]) -> Iterator[Me
 def _units(plan: SensorPlan) -> dict[str, str]:
     """Unit of each array; pressure is in counts where the sensor is uncalibrated."""
     pressures = dict.fromkeys(("raw", "restored", "noise"), plan.unit)
+    loads: dict[str, str] = {"shear": SHEAR} if plan.shears else {}
+    loads |= dict.fromkeys(("traction", "traction_deviation"), PRESSURE) if plan.restores_shear else {}
     calibrated = {"noise_kpa": PRESSURE} if plan.unit == PRESSURE else {}
-    return pressures | calibrated | UNITS | ({"shear": SHEAR} if plan.shears else {})
+    return pressures | calibrated | UNITS | loads
 
 
 def _provenance(recording: Recording, plan: SensorPlan) -> dict[str, Any]:

@@ -35,7 +35,7 @@ class ParquetWriter:
     def add_image(self, image: Image, regions: Mapping[str, Measures]) -> None:
         """Append one frame, which is written with the others of its row group."""
         self._regions = (*regions,)
-        if self._chunk.add(arrays.row(image, regions)):
+        if self._chunk.add(arrays.row(image, regions, self._plan)):
             self._append()
 
     def _append(self) -> None:

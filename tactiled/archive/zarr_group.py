@@ -33,7 +33,7 @@ class ZarrWriter:
 
     def add_image(self, image: Image, regions: Mapping[str, Measures]) -> None:
         """Append one frame, which is written with the others of its chunk."""
-        if self._chunk.add(arrays.row(image, regions)):
+        if self._chunk.add(arrays.row(image, regions, self._plan)):
             self._append()
 
     def _append(self) -> None:

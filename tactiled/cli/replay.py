@@ -18,7 +18,7 @@ from tactiled.interop.bridges import configured
 from tactiled.live.health import REPLAYED
 from tactiled.live.sensor import Sensor
 from tactiled.live.service import Service
-from tactiled.recorded.noise import measure_noise
+from tactiled.recorded.noise import measure
 from tactiled.web.app import create
 from tactiled.web.server import serve
 
@@ -61,8 +61,8 @@ def replaying(settings: Config, file: Path, speed: float) -> Service:
             each.health.clock = REPLAYED
         codecs = {name: each.codec for name, each in sensors.items()}
         plans = [each.plan for each in sensors.values()]
-        for name, noise in measure_noise(Recording(file, Router(codecs).ids), codecs, plans).items():
-            sensors[name].pipeline.noise.settle(noise)
+        for name, found in measure(Recording(file, Router(codecs).ids), codecs, plans).items():
+            sensors[name].pipeline.settle(*found)
         return Replay(file, codecs, lambda name, frame: sensors[name].restore(frame), speed, ended, stepped)
 
     service = Service(settings, listen, replayed=True)

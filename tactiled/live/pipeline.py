@@ -69,6 +69,12 @@ class Pipeline:
         """
         self.tares.request(time, force)
 
+    def settle(self, noise: float | None, shear_rest: Floats | None) -> None:
+        """Take a recording's noise (None: as configured), and its shear (2, N) without a load, if it is known."""
+        if noise is not None:
+            self.noise.settle(noise)
+        self._chain.shear_rest = shear_rest
+
     def load_description(self) -> str:
         """Description of the load in the newest frames; "" for none."""
         return load_description(tuple(self._recent), self.noise.kpa, self._plan.unit)

@@ -1,17 +1,18 @@
-"""The noise of a sensor's taxels in a recording, measured before its first image."""
+"""The noise of a sensor's taxels in a recording, and its shear at rest, measured before its first image."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from itertools import islice
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tactiled.arrays import Floats32
+from tactiled.arrays import Floats, Floats32
 from tactiled.build import SensorPlan
 from tactiled.bus.codec import Codec
 from tactiled.bus.router import Router
 from tactiled.calibrate.counts.calibration import Calibrator
+from tactiled.calibrate.counts.tare import load_description, robust_mean
 from tactiled.frames import UNKNOWN, RawFrame
 from tactiled.live.noise import NOISE_FRAMES
 from tactiled.restore.noise import estimate
@@ -49,16 +50,17 @@ def recorded_noise(plan: SensorPlan, with_data: Iterable[RawFrame], zero: Floats
     return max(plan.calibration.floor_kpa, estimate(raw.reshape(-1, *plan.array.frame_shape)))
 
 
-def measure_noise(
+def measure(
     recording: "Recording", codecs: Mapping[str, Codec], plans: Iterable[SensorPlan]
-) -> dict[str, float]:
-    """Noise of the sensors that have frames in a recording, before it is restored, by their names.
+) -> dict[str, tuple[float | None, Floats | None]]:
+    """Noise and `shear_rest` of the sensors that have frames in a recording, by name, before it is restored.
 
-    What is wrong with the recording, or in a codec, whoever restores it meets, too.
+    Each is None where it is configured, or not known. What is wrong with the recording, or in a codec, whoever
+    restores it meets, too.
     """
     from tactiled.bus.replay import frames  # and python-can, which a service without a bus does not need
 
-    sought = {plan.name: plan for plan in plans if not plan.calibration.noise_kpa}
+    sought = {each.name: each for each in plans if each.restores_shear or not each.calibration.noise_kpa}
     firsts: dict[str, list[RawFrame]] = {name: [] for name in sought}
     open_ = dict.fromkeys(sought, MAX_NOISE_SEARCH)  # frames to be searched yet
     with suppress(Exception):
@@ -71,4 +73,19 @@ def measure_noise(
                     del open_[name]
                 if not open_:
                     break
-    return {name: recorded_noise(sought[name], each) for name, each in firsts.items() if each}
+    found = {name: (sought[name], each) for name, each in firsts.items() if each}
+    return {
+        name: (None if plan.calibration.noise_kpa else recorded_noise(plan, each), shear_rest(plan, each))
+        for name, (plan, each) in found.items()
+    }
+
+
+def shear_rest(plan: SensorPlan, first: Sequence[RawFrame]) -> Floats | None:
+    """Mean shear (2, N) of a recording's first frames, in counts; None where a load lies on."""
+    shears = [each.shear for each in first if each.shear is not None]
+    if not (plan.restores_shear and shears):
+        return None
+    calibrator = Calibrator(plan.calibration, plan.array.size)
+    raw, _ = calibrator.series(np.stack([each.counts for each in first]), np.stack([each.flags for each in first]))
+    noise = plan.calibration.noise_kpa or recorded_noise(plan, first)
+    return None if load_description(tuple(raw), noise, plan.unit) else robust_mean(np.stack(shears))

@@ -35,7 +35,7 @@ from tests.conftest import BUSY_S
 from tests.diagnostics.test_checks import NOISE, SIDE, sense
 from tests.interop.test_foxglove_live import pressures
 from tests.skin import CONFIG as SKIN
-from tests.skin import X, Y, Z, messages
+from tests.skin import SCALE, X, Y, Z, messages
 
 
 def exported(log, config, out, *arguments):
@@ -237,6 +237,33 @@ def test_a_layout_without_a_grid(tmp_path):
     assert (len(points), clouds[0].point_stride) == (60, 17)
     places = np.column_stack([points["f0"], points["f1"]])
     np.testing.assert_allclose(places, 1e-3 * npz["positions_mm"], atol=1e-7)
+
+
+def test_shear_is_restored_from_the_rest_that_a_recording_begins_with(tmp_path):
+    path, rows = tmp_path / "skin.toml", []
+    path.write_text(SKIN.format(channel="skin").replace("dead = [5]", f"dead = [5]{SCALE}"))
+    codec = make_codec(load(path).sensor["skin"])
+    for n in range(40):
+        dragged = (X + 2000, Y, Z + np.array([9000, 9000, 0, 0, 0, 0])) if n >= 36 else (X, Y)
+        rows += messages(codec, *dragged, now=1.6e9 + n / 100)
+    log = write(tmp_path / "skin.log", rows)
+    with np.load(exported(log, path, tmp_path / "a.npz")) as got:
+        traction, spread = got["traction"], got["traction_deviation"]
+        np.testing.assert_array_equal(got["shear"][-1][:, 0, 0], [X[0] + 2000, Y[0]])  # as sensed
+        assert json.loads(got["provenance"].item())["units"]["traction"] == "kPa"
+    assert traction.shape == spread.shape == (40, 2, 2, 3)
+    assert not traction[:36].any()
+    assert traction[-1, 0].max() > 5 * spread[-1, 0].min() > 0
+    with exported(log, path, tmp_path / "a.csv").open(newline="") as file:
+        last = [*csv.DictReader(file)][-1]
+    assert float(last["traction_x_kPa_0_0"]) == pytest.approx(traction[-1, 0, 0, 0], rel=1e-4)
+    got, _ = topics(exported(log, path, tmp_path / "a.mcap"))
+    np.testing.assert_array_equal(
+        pressures(got["/skin/traction"][-1].decoded_message, "shear_x_kpa"), traction[-1, 0]
+    )
+    begun = write(tmp_path / "begun.log", rows[36 * 6 :])
+    with np.load(exported(begun, path, tmp_path / "b.npz")) as got:
+        assert np.isnan(got["traction"]).all()
 
 
 def test_shear_of_a_3_axis_skin_in_every_format(tmp_path):
