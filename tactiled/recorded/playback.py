@@ -22,7 +22,7 @@ from tactiled.diagnostics.warning_codes import WarningCode, warning
 from tactiled.frames import FrameWarning, Image, RawFrame
 from tactiled.geometry import tiling
 from tactiled.recorded.frames import FrameFiles
-from tactiled.recorded.noise import numbers_with_data, recorded_noise
+from tactiled.recorded.noise import numbers_with_data, recorded_noise, shear_rest
 from tactiled.units import FORCE_SCALES
 
 HEADS_AT_ONCE = 4096  # in memory
@@ -41,8 +41,8 @@ class Overview(NamedTuple):
 
 
 def noise_frames(plan: SensorPlan, recorded: FrameFiles, count: int) -> tuple[int, ...]:
-    """Numbers of those of the first `count` frames that noise is measured from; none if configured."""
-    if plan.calibration.noise_kpa:
+    """Numbers of those of the first `count` frames that noise and rest are measured from; none if configured."""
+    if plan.calibration.noise_kpa and not plan.restores_shear:
         return ()
     return numbers_with_data(recorded.frame(plan.name, n) for n in range(count))
 
@@ -61,9 +61,10 @@ class Playback:
         self._next = 0  # frame that the hysteresis takes next
         tared = zero.time is not None and zero.time <= recorded.heads(plan.name, 0, 1)["time"][0]
         self.tared_at = zero.time if tared else None
-        with_data = (recorded.frame(plan.name, n) for n in noise_frames)
+        with_data = [recorded.frame(plan.name, n) for n in noise_frames]
         self.noise = recorded_noise(plan, with_data, zero.counts if tared else None)
         self._chain = Chain(plan, self.noise)
+        self._chain.shear_rest = shear_rest(plan, with_data)
         self._calibrator = self._chain.calibrator
         if tared:
             self._chain.tare(zero)

@@ -26,12 +26,15 @@ from tactiled.config import load, parse
 from tactiled.config.example import GRASP
 from tactiled.contacts.regions import Region
 from tactiled.frames import MISSING
+from tactiled.live.pipeline import Pipeline
+from tactiled.recorded.frames import RecordedFrames
+from tactiled.recorded.playback import Playback, noise_frames
 from tactiled.restore.methods import METHODS
 from tests.cli.commands import refusal, succeed
 from tests.cli.recordings import CONFIG, FRAMES, HEEL, traffic, write
 from tests.cli.test_export_zarr import open_zarr
 from tests.cli.test_replay import images
-from tests.conftest import BUSY_S
+from tests.conftest import BUSY_S, until
 from tests.diagnostics.test_checks import NOISE, SIDE, sense
 from tests.interop.test_foxglove_live import pressures
 from tests.skin import CONFIG as SKIN
@@ -261,6 +264,11 @@ def test_shear_is_restored_from_the_rest_that_a_recording_begins_with(tmp_path):
     np.testing.assert_array_equal(
         pressures(got["/skin/traction"][-1].decoded_message, "shear_x_kpa"), traction[-1, 0]
     )
+    plan, recorded = sensor_plan("skin", load(path).sensor["skin"]), RecordedFrames(log, {"skin": codec})
+    until(lambda: not recorded.reading)
+    played = Playback(plan, Pipeline(plan).zero, recorded, noise_frames(plan, recorded, 40))
+    np.testing.assert_array_equal(played.image(39, plan.method).traction, traction[-1])
+    recorded.close()
     begun = write(tmp_path / "begun.log", rows[36 * 6 :])
     with np.load(exported(begun, path, tmp_path / "b.npz")) as got:
         assert np.isnan(got["traction"]).all()

@@ -52,6 +52,8 @@ def test_an_export_has_the_arrays_of_the_recordings_page(tmp_path, monkeypatch, 
         "regions",
         "region",
         "measure",
+        "traction",
+        "traction_deviation",
     }  # uncalibrated, none set
     capsys.readouterr()
     exec(program("recordings.md"), {})
