@@ -20,8 +20,12 @@ def test_maps_show_the_data_in_the_colours_of_the_range(rig, url, open_page):
     rig.show(pressed(2))
     page = open_page(url)
     colors = np.array(ask("GET", f"{url}/api/v1/colormap").json()["colors"])
+    page.evaluate(WATCH_TEXTS)
     for at in (1, 5):
+        page.evaluate("window.drawn = []")
         image = page.show(rig, pressed(at))
+        written = page.evaluate("window.drawn.filter(each => !each.id).map(each => each.text)")
+        assert {f"{peak.max():.3g}" for peak in (image.raw, image.restored)} <= {*written}
         label = page.locator("#colorbar").get_attribute("aria-label")
         low, high = (float(number) for number in re.findall(r"[\d.]+", label))
         assert low == 0

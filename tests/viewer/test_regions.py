@@ -34,6 +34,7 @@ def test_a_region_is_drawn_named_measured_and_deleted(rig, url, open_page):
     page.get_by_role("button", name="Ellipse").click()
     drag(page, box, (0.25, 0.25), (0.75, 0.75))
     page.get_by_label("Name").fill("heel")
+    assert not page.locator("#notice").is_visible()  # how to draw is of no use now
     page.locator("#region-limit").select_option("peak")
     page.wait("/^Now it is [0-9.]+ kPa[.]$/.test(document.getElementById('region-now').innerText)")
     page.locator("#region-above").fill("5")

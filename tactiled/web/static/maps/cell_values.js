@@ -1,7 +1,7 @@
 /** The value of each cell, written in it where cells are large enough; the legend has the unit. @module */
 
 import { context2d, fitCanvas } from "../shell/dom.js";
-import { number } from "../shell/format.js";
+import { fixed, number } from "../shell/format.js";
 
 /** @import { Colormap } from "./colormap.js" */
 /** @import { DisplayRange } from "./display_range.js" */
@@ -21,7 +21,7 @@ export function inkOn(rgba) {
 }
 
 /** @param {number} value @returns {string} with less to read where there is nothing */
-const valueText = (value) => (value === 0 ? "0" : number(value));
+const valueText = (value) => (fixed(value, 2) === "0.00" ? "0" : number(value));
 
 export class CellValues {
   /** @param {HTMLCanvasElement} map that it stands over */

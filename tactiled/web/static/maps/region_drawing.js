@@ -1,6 +1,6 @@
 /** Drawing a region on a map: drag a rectangle or an ellipse, or click a cell; click the corners of a polygon. @module */
 
-import { notice } from "../shell/notice.js";
+import { notice, withdraw } from "../shell/notice.js";
 
 /** @import { Shape } from "../wire/api.js" */
 /** @import { Heatmap } from "./heatmap.js" */
@@ -39,6 +39,7 @@ export class RegionDrawing {
 
   /** Draw nothing any more. */
   stop() {
+    if (this.shape) withdraw(HINTS[this.shape]);
     this.shape = null;
     this.points = [];
     document.body.classList.remove("drawing");

@@ -27,5 +27,11 @@ export function notice(text, bad = false, action = null) {
   timer = setTimeout(() => { box.hidden = true; }, bad || action ? BAD_STAYS_MS : STAYS_MS);
 }
 
+/** Take a message away that is of use no more. @param {string} text */
+export function withdraw(text) {
+  const box = byId("notice");
+  if (box.textContent === text) box.hidden = true;
+}
+
 /** @param {unknown} error @returns {string} */
 export const messageOf = (error) => (error instanceof Error ? error.message : String(error));
