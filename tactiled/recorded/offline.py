@@ -182,9 +182,8 @@ def read_frame_series(path: Path, name: str, config: Config) -> FrameSeries:
     Where the recording's clock steps back, all times are instead those since its first message, steps left out.
     ConfigError where the recording cannot be read or holds no frame of the sensor.
     """
-    from tactiled.bus.recording import (
-        Recording,
-    )  # which imports python-can, as a server of others' sensors must not
+    # python-can, which these import, has no place in a fleet's server.
+    from tactiled.bus.recording import Recording
     from tactiled.bus.replay import AT_ONCE, frames
 
     bus = config.sensor[name].bus
