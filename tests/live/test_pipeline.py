@@ -386,7 +386,7 @@ def test_tangential_load_is_restored_once_shear_is_tared_and_pressure_without_wh
     before = pipeline.process(load)
     assert before.traction is before.tilt is None
     tare(pipeline, replace(dragged(plan, 0)[0], counts=np.full(24, 36000, np.uint16), shear=np.zeros((2, 24))))
-    pipeline.cover.push = MagicMock()
+    pipeline.cover.observe = MagicMock()
     image = pipeline.process(load)
     x, y = image.traction
     np.testing.assert_allclose(x.sum(), 0.5 * pressure.sum(), rtol=0.1)
@@ -395,7 +395,7 @@ def test_tangential_load_is_restored_once_shear_is_tared_and_pressure_without_wh
     assert image.traction_deviation.shape == image.traction.shape
     wrong = [np.linalg.norm(each.restored - pressure) for each in (before, image)]
     assert wrong[1] < 0.5 * wrong[0]
-    np.testing.assert_allclose(pipeline.cover.push.call_args.args[0], image.raw - image.tilt, rtol=1e-6)
+    np.testing.assert_allclose(pipeline.cover.observe.call_args.args[0], image.raw - image.tilt, rtol=1e-6)
     narrow = Pipeline(replace(plan, coupled=plan.coupled._replace(wide=False)))
     narrow.set_zero(pipeline.zero)
     narrow.noise.settle(0.1)
