@@ -37,7 +37,7 @@ def watched(plan):
 def test_changes_of_sensor_and_bus_are_one_event_each(watched):
     assert watched.look() == []
     watched.sensor.restore(frame())
-    assert watched.look() == [("sensor_live", "palm", "frames come")]
+    assert watched.look() == [("sensor_live", "palm", "receiving frames")]
     assert watched.look() == []
     watched.now += 0.6
     silent = ("sensor_silent", "thumb", "no frame yet on can0")
@@ -49,7 +49,7 @@ def test_changes_of_sensor_and_bus_are_one_event_each(watched):
     assert watched.look() == []
     watched.sensor.health.down = None
     watched.sensor.restore(frame(1))
-    assert watched.look() == [("bus_up", "can0", "is there again"), ("sensor_live", "palm", "frames come")]
+    assert watched.look() == [("bus_up", "can0", "is there again"), ("sensor_live", "palm", "receiving frames")]
     watched.sensor.health.ended = "a.log has ended"
     assert watched.look() == [("sensor_ended", "palm", "a.log has ended")]
 
@@ -64,7 +64,7 @@ def test_a_sensor_of_which_no_frame_has_come_is_an_event_once_its_patience_is_ov
     watched.now += 10
     assert watched.look() == []
     watched.sensor.restore(frame())
-    assert watched.look() == [("sensor_live", "palm", "frames come")]
+    assert watched.look() == [("sensor_live", "palm", "receiving frames")]
     watched.watch.sensors = (watched.sensor,)
     watched.look()
     watched.watch.sensors = (watched.sensor, watched.thumb)  # anew, as after a reload
@@ -160,7 +160,7 @@ def test_a_sensor_that_cannot_be_looked_at_is_a_fault_and_the_others_are_watched
     watched.watch.stop()
     assert [(each.kind, each.text) for each in watched.events.after(0)] == [
         ("fault_raised", "watch of palm: ZeroDivisionError: division by zero"),
-        ("sensor_live", "frames come"),
+        ("sensor_live", "receiving frames"),
     ]
     assert "ZeroDivisionError" in caplog.text
 
