@@ -1,7 +1,7 @@
 /** The value of each cell, written in it where cells are large enough; the legend has the unit. @module */
 
 import { context2d, fitCanvas } from "../shell/dom.js";
-import { fixed, number } from "../shell/format.js";
+import { fixed } from "../shell/format.js";
 
 /** @import { Colormap } from "./colormap.js" */
 /** @import { DisplayRange } from "./display_range.js" */
@@ -12,6 +12,8 @@ const MIN_CELL_PX = 34; // CSS px, the least width of a cell that has its value
 const TEXT_PX = 11;
 const TEXT_SHARE = 0.92; // of a cell's width, at most
 const BELOW_SHARE = 0.25; // of its side, from its middle, which lines and crosses run through, down to the text's
+const EMPTY = -1e300; // in the place of a cell's digits
+const MAX_TEXTS = 10_000;
 const MIDDLE_LUMINANCE = 118; // of 255, where black and white are read equally well
 
 /** @param {number} rgba little-endian @returns {string} black or white, which is read better on that colour */
@@ -20,8 +22,27 @@ export function inkOn(rgba) {
   return luminance > MIDDLE_LUMINANCE ? "#000" : "#fff";
 }
 
-/** @param {number} value @returns {string} with less to read where there is nothing */
-const valueText = (value) => (fixed(value, 2) === "0.00" ? "0" : number(value));
+/** @param {number} value @returns {number} its three digits and their decimals in one whole number: two that are equal read alike */
+function digitsOf(value) {
+  const size = Math.abs(value);
+  if (size < 9.995) return Math.round(value * 100) * 3 + 2;
+  return size < 99.95 ? Math.round(value * 10) * 3 + 1 : Math.round(value) * 3;
+}
+
+/** By digits. Nobody has to make them again, or to collect them, sixty times a second. @type {Map<number, string>} */
+const texts = new Map();
+
+/** @param {number} digits @returns {string} */
+function textOf(digits) {
+  const known = texts.get(digits);
+  if (known !== undefined) return known;
+  const decimals = ((digits % 3) + 3) % 3;
+  const whole = (digits - decimals) / 3;
+  const text = whole ? fixed(whole / 10 ** decimals, decimals) : "0"; // there is less to read where there is nothing
+  if (texts.size > MAX_TEXTS) texts.clear();
+  texts.set(digits, text);
+  return text;
+}
 
 export class CellValues {
   /** @param {HTMLCanvasElement} map that it stands over */
@@ -33,8 +54,7 @@ export class CellValues {
     this._pen = context2d(this.canvas);
     this._ratio = 1;
     this._zoom = 0;
-    /** What stands in each cell, and in which ink. @type {string[]} */
-    this._texts = [];
+    this._written = new Float64Array(0); // twice the digits of each cell, and one more for white ink
   }
 
   /** @param {Plane} plane @param {number} zoom CSS px per mm */
@@ -49,8 +69,8 @@ export class CellValues {
 
   /** Show nothing. */
   clear() {
-    if (this._texts.length) this._pen.clearRect(0, 0, this.canvas.width, this.canvas.height);
-    this._texts = [];
+    if (this._written.length) this._pen.clearRect(0, 0, this.canvas.width, this.canvas.height);
+    this._written = new Float64Array(0);
   }
 
   /**
@@ -66,20 +86,26 @@ export class CellValues {
     if (cells.side * this._zoom < MIN_CELL_PX) return;
     const draw = this._pen;
     const px = this._zoom * this._ratio;
-    const most = TEXT_SHARE * cells.side * px;
-    const high = TEXT_PX * this._ratio;
+    // Whole pixels: texts are sharp, and a number that is passed on leaves no garbage.
+    const most = Math.floor(TEXT_SHARE * cells.side * px);
+    const half = Math.floor(most / 2);
+    const high = Math.ceil(TEXT_PX * this._ratio);
+    if (this._written.length !== cells.count) this._written = new Float64Array(cells.count).fill(EMPTY);
+    const { _written: written } = this;
     for (let i = 0; i < cells.count; i += 1) {
       const value = values[i];
-      const x = (cells.x[i] - plane.left) * px;
-      const y = (cells.y[i] - plane.top + BELOW_SHARE * cells.side) * px;
-      const isFree = !Number.isNaN(value) && !marks?.isLabelled(x, y, most / 2, high / 2);
-      const text = isFree ? valueText(value) : "";
+      const x = Math.round((cells.x[i] - plane.left) * px);
+      const y = Math.round((cells.y[i] - plane.top + BELOW_SHARE * cells.side) * px);
+      const isFree = !Number.isNaN(value) && !marks?.isLabelled(x, y, half, high >> 1);
       const ink = isFree ? inkOn(colormap.rgba[colormap.index(value, range)]) : "";
-      if (this._texts[i] === ink + text) continue;
-      this._texts[i] = ink + text;
-      draw.clearRect(x - most / 2, y - high, most, 2 * high);
+      const digits = isFree ? digitsOf(value) : EMPTY;
+      const is = isFree ? 2 * digits + (ink === "#fff" ? 1 : 0) : EMPTY;
+      if (written[i] === is) continue;
+      written[i] = is;
+      draw.clearRect(x - half, y - high, most, 2 * high);
+      if (!isFree) continue;
       draw.fillStyle = ink;
-      draw.fillText(text, x, y, most);
+      draw.fillText(textOf(digits), x, y, most);
     }
   }
 }
