@@ -11,9 +11,13 @@ the frame whose linear image, V S h / (h^2 S + 1) U' f, is the mean of the press
 some of the grid's own, f is y on these, and on the others what these say of them. All is in units of the noise.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
+from hashlib import sha256
 from math import log
+from threading import Lock
 from typing import Any, NamedTuple, Protocol
+from weakref import WeakValueDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -89,9 +93,8 @@ class Part(Kriging):
         self._around: Image = np.zeros(shape, np.float32)
         self._inside = self._frame[self._own]
         self._beyond, self._whole = np.divmod(self._missing, shape[-1]), (0, shape[0], 0, shape[-1])
-        self._matrices: dict[Spectrum, NDArray[Any]] = {}
+        self._matrices = _kept("part", self._there, modes.gain, *modes.taxel, modes.frequency, gain_variance)
         self._levels: dict[tuple[float, float, int], Spectrum] = {}
-        self._lowered: dict[Spectrum, NDArray[Any]] = {}  # Q_kk's diagonal, as the others are not there
         whole = not len(self._missing)
         sides = zip(modes.taxel, blur.frame_shape, strict=True)
         self.bases = tuple(U if whole else _cosines(n) for U, n in sides)
@@ -111,7 +114,7 @@ class Part(Kriging):
             self._frame.fill(0)
             np.copyto(self._inside, y)
         else:
-            matrix, (rows, columns) = self._matrix(self._shared(spectrum)), self._own
+            (matrix, _), (rows, columns) = self._matrix(self._shared(spectrum)), self._own
             at = rows.start, columns.start
             surface.complete(matrix, y, *self._beyond, *at, box[:4] if box else self._whole, self._frame)
         return self._frame
@@ -136,8 +139,7 @@ class Part(Kriging):
         values = np.asarray(1 / self._variance(spectrum.ratio), np.float32)
         diagonal = self._squares(values, self._squares.empty())[self._own].astype(float)
         if len(self._missing):
-            self._matrix(spectrum)
-            diagonal += self._lowered[spectrum].reshape(diagonal.shape)
+            diagonal += self._matrix(spectrum)[1].reshape(diagonal.shape)
         return np.asarray(diagonal)
 
     def smooth(self, y: Image) -> Image:
@@ -185,16 +187,17 @@ class Part(Kriging):
             self._levels[key] = replace(spectrum, level=LEVEL_STEP**step)
         return self._levels[key]
 
-    def _matrix(self, spectrum: Spectrum) -> Image:
-        """-Q_mm^-1 Q_mk of a spectrum, made when that is first met."""
-        if spectrum not in self._matrices:
+    def _matrix(self, spectrum: Spectrum) -> tuple[NDArray[Any], ...]:
+        """-Q_mm^-1 Q_mk of a spectrum, and by how much Q_kk's diagonal is lower as the others are not there."""
+
+        def make() -> tuple[NDArray[Any], ...]:
             (U, V), shape = self._modes.taxel, self._modes.gain.shape
             patterns = _patterns(self._modes, ~self._there) / self._variance(spectrum.ratio).ravel()
             Q = (U @ patterns.reshape(-1, *shape) @ V.T).reshape(len(patterns), -1)
             matrix = np.asarray(-np.linalg.solve(Q[:, self._missing], Q[:, self._known]), np.float32)
-            _keep(self._matrices, spectrum, matrix)
-            _keep(self._lowered, spectrum, np.einsum("mk,mk->k", matrix, Q[:, self._known]))
-        return self._matrices[spectrum]
+            return matrix, np.einsum("mk,mk->k", matrix, Q[:, self._known])
+
+        return self._matrices(spectrum, make)
 
 
 class Anywhere(Kriging):
@@ -221,18 +224,20 @@ class Anywhere(Kriging):
             E = np.asarray(np.linalg.svd(self._a)[0], float)
             self.bases = (E,)
         self._shares, self._noise_shares = (E.T @ self._a) ** 2, (E.T @ self._r) ** 2
-        self._matrices: dict[Spectrum, NDArray[Any]] = {}
-        self._inverses: dict[Spectrum, NDArray[Any]] = {}
+        arrays = felt, modes.gain, *modes.taxel, *modes.surface, modes.frequency, gain_variance
+        self._matrices, self._inverses = _kept("frame", *arrays), _kept("inverse", *arrays)
 
     def __call__(self, y: Image, spectrum: Spectrum, box: Box | None = None) -> Image:
         """Give the full frame; `y` is one of the array, without gaps. Valid until the next."""
         del box
-        if spectrum not in self._matrices:
+
+        def make() -> tuple[NDArray[Any], ...]:
             S, (U, V) = spectrum.ratio.ravel(), self._modes.taxel
             weighted = (self._inverse(spectrum) @ self._r) * ((self._h**2 + self._gain_variance) * S + 1)
             matrix = (U @ weighted.reshape(-1, *self._frame.shape) @ V.T).reshape(len(weighted), -1)
-            _keep(self._matrices, spectrum, np.ascontiguousarray(matrix.T, np.float32))
-        self._matrices[spectrum].dot(y.reshape(-1), self._flat)
+            return (np.ascontiguousarray(matrix.T, np.float32),)
+
+        self._matrices(spectrum, make)[0].dot(y.reshape(-1), self._flat)
         return self._frame
 
     def variances(self, ratios: Floats) -> Floats:
@@ -278,15 +283,17 @@ class Anywhere(Kriging):
 
     def _inverse(self, spectrum: Spectrum) -> NDArray[Any]:
         """C^-1 of the array's frames."""
-        if spectrum not in self._inverses:
+
+        def make() -> tuple[NDArray[Any], ...]:
             S = spectrum.ratio.ravel()
             C = (
                 (self._a * S) @ self._a.T
                 + (self._r * (self._gain_variance * S)) @ self._r.T
                 + np.eye(len(self._a))
             )
-            _keep(self._inverses, spectrum, np.asarray(np.linalg.inv(C), np.float32))
-        return self._inverses[spectrum]
+            return (np.asarray(np.linalg.inv(C), np.float32),)
+
+        return self._inverses(spectrum, make)[0]
 
 
 def make(blur: Blur, modes: Modes, gain_variance: Floats) -> Kriging:
@@ -295,11 +302,40 @@ def make(blur: Blur, modes: Modes, gain_variance: Floats) -> Kriging:
     return makes(blur, modes, gain_variance)
 
 
-def _keep(kept: dict[Spectrum, NDArray[Any]], spectrum: Spectrum, made: NDArray[Any]) -> None:
-    """Keep what was made of a spectrum, and as much of what was made before as there is room for."""
-    while kept and (len(kept) + 1) * made.size > MAX_KEPT_VALUES:
-        del kept[next(iter(kept))]
-    kept[spectrum] = made
+class _Kept:
+    """What is made of spectra for arrays that are alike, whatever their noise; any thread."""
+
+    def __init__(self) -> None:
+        self._made: dict[tuple[float, float, float], tuple[NDArray[Any], ...]] = {}
+        self._lock = Lock()
+
+    def __len__(self) -> int:
+        return len(self._made)
+
+    def __call__(
+        self, spectrum: Spectrum, make: Callable[[], tuple[NDArray[Any], ...]]
+    ) -> tuple[NDArray[Any], ...]:
+        """Give what was made of a spectrum, or make it, and keep as much of what is older as there is room for."""
+        key = spectrum.level, spectrum.corner, spectrum.power
+        if (made := self._made.get(key)) is None:
+            made = make()
+            with self._lock:
+                while self._made and (len(self._made) + 1) * made[0].size > MAX_KEPT_VALUES:
+                    del self._made[next(iter(self._made))]
+                self._made[key] = made
+        return made
+
+
+_STORES: WeakValueDictionary[bytes, _Kept] = WeakValueDictionary()  # of the arrays in use
+
+
+def _kept(kind: str, *arrays: NDArray[Any]) -> _Kept:
+    """Give the store of one kind for all arrays that have these."""
+    hashed = sha256(kind.encode())
+    for each in arrays:
+        hashed.update(f"{each.dtype}{each.shape}".encode())
+        hashed.update(np.ascontiguousarray(each).tobytes())
+    return _STORES.setdefault(hashed.digest(), _Kept())
 
 
 def _patterns(modes: Modes, taxels: NDArray[np.bool_]) -> Floats:

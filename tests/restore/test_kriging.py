@@ -79,6 +79,18 @@ def test_a_frame_is_the_same_whatever_was_restored_before_it(covered, monkeypatc
         np.testing.assert_array_equal(fresh.kriging(y, spectrum), used.kriging(y, spectrum))
 
 
+def test_arrays_that_are_alike_share_what_is_made_of_a_spectrum_whatever_their_noise(covered, monkeypatch):
+    y = np.random.default_rng(1).normal(0, 5, (6, 6)).astype(np.float32)
+    one, other, thin = (
+        Scene(covered((6, 6), t, beyond=True), sigma) for t, sigma in ((1.5, 1), (1.5, 2), (1.4, 1))
+    )
+    expected = one.kriging(y, one.prior.spectra[40]).copy()
+    near = thin.kriging(y, thin.prior.spectra[40]).copy()
+    monkeypatch.setattr(np.linalg, "solve", None)
+    np.testing.assert_array_equal(other.kriging(y, other.prior.spectra[40]), expected)
+    assert (near != expected).any()
+
+
 def test_no_spectrum_costs_memory_without_end(covered, monkeypatch):
     monkeypatch.setattr("tactiled.restore.kriging.MAX_KEPT_VALUES", 3 * 28 * 36)
     scene = Scene(covered((6, 6), 1.5, beyond=True), SIGMA)
