@@ -11,13 +11,9 @@ the frame whose linear image, V S h / (h^2 S + 1) U' f, is the mean of the press
 some of the grid's own, f is y on these, and on the others what these say of them. All is in units of the noise.
 """
 
-from collections.abc import Callable
 from dataclasses import replace
-from hashlib import sha256
 from math import log
-from threading import Lock
 from typing import Any, NamedTuple, Protocol
-from weakref import WeakValueDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,9 +22,8 @@ from tactiled.core import surface
 from tactiled.restore.blur import Blur
 from tactiled.restore.modes import Floats, Image, Modes, Transform
 from tactiled.restore.pressed import Box
-from tactiled.restore.prior import Spectrum
+from tactiled.restore.prior import Kept, Spectrum, kept
 
-MAX_KEPT_VALUES = 1 << 24  # of all matrices of one kind that are kept: 64 MB
 FEW_VALUES = 1 << 19  # of a matrix: a larger one takes 20 ms and more, so spectra of near levels share it
 LEVEL_STEP = 64.0  # between the levels of these
 MAX_COVARIANCE_TAXELS = 1024  # inferred ones of which the deviation knows: their matrix has 8 MB
@@ -93,7 +88,8 @@ class Part(Kriging):
         self._around: Image = np.zeros(shape, np.float32)
         self._inside = self._frame[self._own]
         self._beyond, self._whole = np.divmod(self._missing, shape[-1]), (0, shape[0], 0, shape[-1])
-        self._matrices = _kept("part", self._there, modes.gain, *modes.taxel, modes.frequency, gain_variance)
+        arrays = self._there, modes.gain, *modes.taxel, modes.frequency, gain_variance
+        self._matrices: Kept[tuple[Image, Floats]] = kept("part", *arrays)
         self._levels: dict[tuple[float, float, int], Spectrum] = {}
         whole = not len(self._missing)
         sides = zip(modes.taxel, blur.frame_shape, strict=True)
@@ -187,17 +183,17 @@ class Part(Kriging):
             self._levels[key] = replace(spectrum, level=LEVEL_STEP**step)
         return self._levels[key]
 
-    def _matrix(self, spectrum: Spectrum) -> tuple[NDArray[Any], ...]:
+    def _matrix(self, spectrum: Spectrum) -> tuple[Image, Floats]:
         """-Q_mm^-1 Q_mk of a spectrum, and by how much Q_kk's diagonal is lower as the others are not there."""
 
-        def make() -> tuple[NDArray[Any], ...]:
+        def make() -> tuple[Image, Floats]:
             (U, V), shape = self._modes.taxel, self._modes.gain.shape
             patterns = _patterns(self._modes, ~self._there) / self._variance(spectrum.ratio).ravel()
             Q = (U @ patterns.reshape(-1, *shape) @ V.T).reshape(len(patterns), -1)
             matrix = np.asarray(-np.linalg.solve(Q[:, self._missing], Q[:, self._known]), np.float32)
             return matrix, np.einsum("mk,mk->k", matrix, Q[:, self._known])
 
-        return self._matrices(spectrum, make)
+        return self._matrices(spectrum, make, len(self._missing) * len(self._known))
 
 
 class Anywhere(Kriging):
@@ -225,19 +221,20 @@ class Anywhere(Kriging):
             self.bases = (E,)
         self._shares, self._noise_shares = (E.T @ self._a) ** 2, (E.T @ self._r) ** 2
         arrays = felt, modes.gain, *modes.taxel, *modes.surface, modes.frequency, gain_variance
-        self._matrices, self._inverses = _kept("frame", *arrays), _kept("inverse", *arrays)
+        self._matrices: Kept[Image] = kept("frame", *arrays)
+        self._inverses: Kept[Image] = kept("inverse", *arrays)
 
     def __call__(self, y: Image, spectrum: Spectrum, box: Box | None = None) -> Image:
         """Give the full frame; `y` is one of the array, without gaps. Valid until the next."""
         del box
 
-        def make() -> tuple[NDArray[Any], ...]:
+        def make() -> Image:
             S, (U, V) = spectrum.ratio.ravel(), self._modes.taxel
             weighted = (self._inverse(spectrum) @ self._r) * ((self._h**2 + self._gain_variance) * S + 1)
             matrix = (U @ weighted.reshape(-1, *self._frame.shape) @ V.T).reshape(len(weighted), -1)
-            return (np.ascontiguousarray(matrix.T, np.float32),)
+            return np.ascontiguousarray(matrix.T, np.float32)
 
-        self._matrices(spectrum, make)[0].dot(y.reshape(-1), self._flat)
+        self._matrices(spectrum, make, self._flat.size * len(self._a)).dot(y.reshape(-1), self._flat)
         return self._frame
 
     def variances(self, ratios: Floats) -> Floats:
@@ -284,58 +281,22 @@ class Anywhere(Kriging):
     def _inverse(self, spectrum: Spectrum) -> NDArray[Any]:
         """C^-1 of the array's frames."""
 
-        def make() -> tuple[NDArray[Any], ...]:
+        def make() -> Image:
             S = spectrum.ratio.ravel()
             C = (
                 (self._a * S) @ self._a.T
                 + (self._r * (self._gain_variance * S)) @ self._r.T
                 + np.eye(len(self._a))
             )
-            return (np.asarray(np.linalg.inv(C), np.float32),)
+            return np.asarray(np.linalg.inv(C), np.float32)
 
-        return self._inverses(spectrum, make)[0]
+        return self._inverses(spectrum, make, len(self._a) ** 2)
 
 
 def make(blur: Blur, modes: Modes, gain_variance: Floats) -> Kriging:
     """Make what completes frames of an array to those of the full grid that has these modes."""
     makes = Part if blur.wide is None or blur.wide.felt is None else Anywhere
     return makes(blur, modes, gain_variance)
-
-
-class _Kept:
-    """What is made of spectra for arrays that are alike, whatever their noise; any thread."""
-
-    def __init__(self) -> None:
-        self._made: dict[tuple[float, float, float], tuple[NDArray[Any], ...]] = {}
-        self._lock = Lock()
-
-    def __len__(self) -> int:
-        return len(self._made)
-
-    def __call__(
-        self, spectrum: Spectrum, make: Callable[[], tuple[NDArray[Any], ...]]
-    ) -> tuple[NDArray[Any], ...]:
-        """Give what was made of a spectrum, or make it, and keep as much of what is older as there is room for."""
-        key = spectrum.level, spectrum.corner, spectrum.power
-        if (made := self._made.get(key)) is None:
-            made = make()
-            with self._lock:
-                while self._made and (len(self._made) + 1) * made[0].size > MAX_KEPT_VALUES:
-                    del self._made[next(iter(self._made))]
-                self._made[key] = made
-        return made
-
-
-_STORES: WeakValueDictionary[bytes, _Kept] = WeakValueDictionary()  # of the arrays in use
-
-
-def _kept(kind: str, *arrays: NDArray[Any]) -> _Kept:
-    """Give the store of one kind for all arrays that have these."""
-    hashed = sha256(kind.encode())
-    for each in arrays:
-        hashed.update(f"{each.dtype}{each.shape}".encode())
-        hashed.update(np.ascontiguousarray(each).tobytes())
-    return _STORES.setdefault(hashed.digest(), _Kept())
 
 
 def _patterns(modes: Modes, taxels: NDArray[np.bool_]) -> Floats:

@@ -7,7 +7,11 @@ modes pooled in blocks: a small matrix product a frame, and no cross-validation 
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from hashlib import sha256
 from itertools import product
+from threading import Lock
+from typing import Any, Generic, TypeVar
+from weakref import WeakValueDictionary
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +23,7 @@ from tactiled.restore.modes import Floats, Image, Modes, Transform
 CORNERS = (0.02, 0.06, 0.2, 0.6)  # q0, cycles a cell: from one wide press to points
 POWERS = (1.25, 1.75)  # p, on either side of 1.5, the fall of a sharp edge in the plane
 LEVELS = 4.0 ** np.arange(-2, 19)  # A over the noise's variance: from no signal to noise of 1e-4 of it all
+MAX_KEPT_VALUES = 1 << 24  # of all matrices of one kind that are kept: 64 MB
 MAX_AMPLIFICATION = 100.0  # a filter that amplifies more leans on gains under 1 %, which no cover's model knows
 
 
@@ -39,6 +44,44 @@ class Spectrum:
     def fall(self, q: Floats) -> Floats:
         """S at any frequency q (cycles a cell) over what it is at none."""
         return np.asarray((1 + (q / self.corner) ** 2) ** -self.power)
+
+
+T = TypeVar("T")
+
+
+class Kept(Generic[T]):
+    """What is made of spectra for arrays that are alike, whatever their noise; any thread."""
+
+    def __init__(self) -> None:
+        self._made: dict[tuple[float, float, float], T] = {}
+        self._lock = Lock()
+
+    def __len__(self) -> int:
+        """Of how many spectra it has something."""
+        return len(self._made)
+
+    def __call__(self, spectrum: Spectrum, make: Callable[[], T], values: int = 0) -> T:
+        """Give what was made of a spectrum, or make it, of so many numbers; the oldest goes where room ends."""
+        key = spectrum.level, spectrum.corner, spectrum.power
+        if (made := self._made.get(key)) is None:
+            made = make()
+            with self._lock:
+                while self._made and (len(self._made) + 1) * values > MAX_KEPT_VALUES:
+                    del self._made[next(iter(self._made))]
+                self._made[key] = made
+        return made
+
+
+_STORES: WeakValueDictionary[bytes, Kept[Any]] = WeakValueDictionary()  # of the arrays in use
+
+
+def kept(kind: str, *arrays: NDArray[Any]) -> Kept[Any]:
+    """Give the store of one kind for all arrays that have these numbers."""
+    hashed = sha256(kind.encode())
+    for each in arrays:
+        hashed.update(f"{each.dtype}{each.shape}".encode())
+        hashed.update(np.ascontiguousarray(each).tobytes())
+    return _STORES.setdefault(hashed.digest(), Kept())
 
 
 class Prior:

@@ -12,7 +12,7 @@ from tactiled.restore.blur import THICKNESS_ERROR, Blur
 from tactiled.restore.kriging import Gaps, make
 from tactiled.restore.modes import Floats, Image
 from tactiled.restore.pressed import Pressed
-from tactiled.restore.prior import CORNERS, Prior, Spectrum
+from tactiled.restore.prior import CORNERS, Kept, Prior, Spectrum, kept
 
 FORCE_BOUNDS = (0.5, 2.0)  # of the scale that restores the total force: outside it the force was not known anyway
 MAX_PREPARED_CELLS = 4096  # up to which what every spectrum needs is made beforehand: 3.4 kB a cell, all together
@@ -90,7 +90,8 @@ class Scene:
         self.high = self.low = 0.0  # kPa, the frame's largest and smallest
         self.force = 0.0  # kPa, the sum over the frame
         self._reach = self.cell_reach.reshape(-1)
-        self._resolution: dict[Spectrum, float] = {}
+        gains = self.modes.gain, self.modes.frequency, self.gain_variance
+        self._resolution: Kept[float] = kept("resolution", *gains, np.array(blur.cell_mm))
         self._unfelt: dict[Spectrum, Image] = {}
         self.widest_mm = blur.cell_mm * max(blur.surface_shape)
 
@@ -180,10 +181,12 @@ class Scene:
 
     def resolution(self) -> float:
         """Half-period (mm) of the finest mode whose signal, by the spectrum picked, is above the noise."""
-        if self.spectrum not in self._resolution:
+
+        def find() -> float:
             S = self.spectrum.ratio[self.modes.head]
             clear = self.modes.gain**2 * S > 1 + self.gain_variance * S
             finest = float(self.modes.frequency[self.modes.head][clear].max(initial=0.0))
             half_period = 0.5 * self.blur.cell_mm / finest if finest else self.widest_mm
-            self._resolution[self.spectrum] = min(self.widest_mm, half_period)
-        return self._resolution[self.spectrum]
+            return min(self.widest_mm, half_period)
+
+        return self._resolution(self.spectrum, find)

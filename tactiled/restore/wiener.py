@@ -11,7 +11,7 @@ import numpy as np
 from tactiled.core import coefficients
 from tactiled.restore.modes import Floats, Image
 from tactiled.restore.narrow_band import NarrowBand
-from tactiled.restore.prior import Spectrum
+from tactiled.restore.prior import Kept, kept
 from tactiled.restore.scene import Scene
 
 
@@ -45,7 +45,8 @@ class Wiener:
     def __init__(self, scene: Scene) -> None:
         modes = scene.modes
         self._scene = scene
-        self._filters: dict[Spectrum, Filter] = {}
+        arrays = scene.ones, scene.reach, modes.gain, modes.frequency, scene.gain_variance
+        self._filters: Kept[Filter] = kept("filter", *arrays, np.array(scene.blur.surface_shape))
         self._band = NarrowBand(modes, scene.noise, scene.gain_variance) if modes.gain.ndim == 2 else None
         self._synthesise = modes.head_to_surface()
         self._modes, self._image = np.empty_like(scene.c), self._synthesise.empty()
@@ -54,10 +55,7 @@ class Wiener:
 
     def filter(self) -> Filter:
         """Give the filter of the scene's spectrum, made when that spectrum is first met."""
-        spectrum = self._scene.spectrum
-        if spectrum not in self._filters:
-            self._filters[spectrum] = Filter(self._scene, self._band)
-        return self._filters[spectrum]
+        return self._filters(self._scene.spectrum, lambda: Filter(self._scene, self._band))
 
     def __call__(self) -> Image:
         """Give the surface pressure, total force kept; may be negative."""

@@ -92,7 +92,7 @@ def test_arrays_that_are_alike_share_what_is_made_of_a_spectrum_whatever_their_n
 
 
 def test_no_spectrum_costs_memory_without_end(covered, monkeypatch):
-    monkeypatch.setattr("tactiled.restore.kriging.MAX_KEPT_VALUES", 3 * 28 * 36)
+    monkeypatch.setattr("tactiled.restore.prior.MAX_KEPT_VALUES", 3 * 28 * 36)
     scene = Scene(covered((6, 6), 1.5, beyond=True), SIGMA)
     for spectrum in scene.prior.spectra[:9]:
         scene.kriging(np.ones((6, 6), np.float32), spectrum)
