@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -92,8 +93,14 @@ def cached(
         return _numbers(solve(*inputs[1:]))
 
     numbers = cached_table(folder, inputs, make, report, "kernel")
-    n, m, error, columns, rows, unknowns = numbers[:6, 0]
-    q, gain, r, g, _ = np.split(numbers[6:, 0], np.cumsum([int(n), int(n), int(m), int(m)]))
+    return _kernel(stack, model, profile, numbers.tobytes())
+
+
+@lru_cache(maxsize=64)  # arrays under one cover share what is made of it
+def _kernel(stack: Stack, model: Model, profile: Profile | None, stored: bytes) -> Kernel:
+    numbers = np.frombuffer(stored)
+    n, m, error, columns, rows, unknowns = numbers[:6]
+    q, gain, r, g, _ = np.split(numbers[6:], np.cumsum([int(n), int(n), int(m), int(m)]))
     return Kernel(stack, model, q, gain, r, g, float(error), (int(columns), int(rows)), int(unknowns), profile)
 
 

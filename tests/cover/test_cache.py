@@ -139,6 +139,7 @@ def test_every_cover_is_solved_once(tmp_path, monkeypatch):
     for made, read in zip(first, again, strict=True):
         for name in ("q", "gain", "r", "g", "error_estimate", "mesh", "unknowns", "stack", "model", "profile"):
             assert np.array_equal(getattr(made, name), getattr(read, name)), name
+        assert made is read  # one for all arrays under this cover
     monkeypatch.setattr(kernels, "version", lambda _: "0.0.0")
     kernels.cached(stack, folder=tmp_path)
     assert len(list(tmp_path.iterdir())) == len(settings) + 1  # another release has files of its own
