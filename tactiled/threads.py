@@ -34,9 +34,20 @@ def join_started(thread: Thread) -> None:
         thread.join()
 
 
+_BACKGROUND = Lock()  # of what runs beside the frames: more at a time would take more turns from them
+
+
 def run_on_thread(work: Callable[[], None]) -> None:
-    """Start `work` on a thread. The interpreter waits for it: one stopped inside numpy aborts the process."""
-    Thread(target=work, name="background", daemon=False).start()  # else it is as the caller's thread
+    """Start `work` on a thread, when what was started before is done.
+
+    The interpreter waits for it: a thread that is stopped inside numpy aborts the process.
+    """
+
+    def run() -> None:
+        with _BACKGROUND:
+            work()
+
+    Thread(target=run, name="background", daemon=False).start()  # else it is as the caller's thread
 
 
 class FairLock:

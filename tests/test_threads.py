@@ -4,7 +4,7 @@ import threading
 
 import pytest
 
-from tactiled.threads import FairLock
+from tactiled.threads import FairLock, run_on_thread
 from tests.conftest import BUSY_S, until
 
 
@@ -102,3 +102,12 @@ with tempfile.NamedTemporaryFile() as file:
 def test_threads_share_two_heaps(how, heaps):
     text = subprocess.run([sys.executable, "-c", COUNT_HEAPS, how], capture_output=True, text=True, check=True)
     assert int(text.stdout) in heaps
+
+
+def test_what_runs_beside_the_frames_runs_one_after_the_other():
+    go_on, second = threading.Event(), threading.Event()
+    run_on_thread(lambda: go_on.wait(BUSY_S))
+    run_on_thread(second.set)
+    assert not second.wait(0.05)
+    go_on.set()
+    assert second.wait(BUSY_S)

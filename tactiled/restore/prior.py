@@ -9,7 +9,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from hashlib import sha256
 from itertools import product
-from threading import Lock
 from typing import Any, Generic, TypeVar
 from weakref import WeakValueDictionary
 
@@ -54,7 +53,6 @@ class Kept(Generic[T]):
 
     def __init__(self) -> None:
         self._made: dict[tuple[float, float, float], T] = {}
-        self._lock = Lock()
 
     def __len__(self) -> int:
         """Of how many spectra it has something."""
@@ -65,10 +63,11 @@ class Kept(Generic[T]):
         key = spectrum.level, spectrum.corner, spectrum.power
         if (made := self._made.get(key)) is None:
             made = make()
-            with self._lock:
-                while self._made and (len(self._made) + 1) * values > MAX_KEPT_VALUES:
-                    del self._made[next(iter(self._made))]
-                self._made[key] = made
+            for oldest in [*self._made]:
+                if (len(self._made) + 1) * values <= MAX_KEPT_VALUES:
+                    break
+                self._made.pop(oldest, None)
+            self._made[key] = made
         return made
 
 
