@@ -8,6 +8,7 @@ def box(
     y: _Array,
     rows: NDArray[np.int32],
     columns: NDArray[np.int32],
+    ends: tuple[int, int, int, int],
     shape: tuple[int, int],
     threshold: float,
     margin: int,

@@ -1,7 +1,6 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, initializedcheck=False, cdivision=True
 """Where a surface is pressed, and what lies beyond the taxels there, float32."""
 
-from libc.limits cimport INT_MAX
 from libc.math cimport sqrt
 
 
@@ -9,6 +8,7 @@ def box(
     const float[::1] y,
     const int[::1] rows,
     const int[::1] columns,
+    (int, int, int, int) ends,
     (int, int) shape,
     float threshold,
     int margin,
@@ -18,6 +18,7 @@ def box(
 ):
     """Find the box on a surface (R, C) that all of a frame y (N,) is in, of taxels at `rows` and `columns` (N,).
 
+    `ends` are the first and last of those rows and of those columns.
     It is around the taxels that read more than a threshold, NaN too, with a `margin` of cells on each side; it goes
     to the end of the surface where it has the outermost taxels. It is the whole surface unless what the n taxels
     outside read is as noise is: squares whose sum is within `sigmas` sqrt(2 n) of n, a sum within `sigmas` sqrt(n),
@@ -27,14 +28,11 @@ def box(
     """
     cdef long n
     cdef int top = 0, bottom = -1, left = 0, right = -1, outside
-    cdef int low = INT_MAX, high = -1, first = INT_MAX, last = -1
+    cdef int low = ends[0], high = ends[1], first = ends[2], last = ends[3]
     cdef float count = 0, total = 0, squares = 0, power = 0, value, stray
     if not y.shape[0] == rows.shape[0] == columns.shape[0]:
         raise ValueError("box: shapes do not fit")
     with nogil:
-        for n in range(y.shape[0]):
-            low, high = min(low, rows[n]), max(high, rows[n])
-            first, last = min(first, columns[n]), max(last, columns[n])
         for n in range(y.shape[0]):
             if y[n] <= threshold:
                 continue

@@ -27,23 +27,26 @@ class Pressed:
             cells = cells[:: array.refine, :: array.refine]
         else:
             cells = cells[wide.own] if wide.felt is None else wide.felt.argmax(axis=1)
-        self._at = np.divmod(cells.ravel().astype(np.int32), np.int32(columns))  # of the cell a taxel feels most
+        # Of the cell that each taxel feels most.
+        self._down, self._across = np.divmod(cells.ravel().astype(np.int32), np.int32(columns))
+        first, last = self._down.min(), self._down.max()
+        self._ends = int(first), int(last), int(self._across.min()), int(self._across.max())
         self._threshold = detection_threshold(noise, cells.size)
         self._margin, self._noise = MARGIN * array.refine, noise
+        self._shape = rows, columns
         self.whole: Box = 0, rows, 0, columns, False
 
     def __call__(self, y: Image) -> Box:
         """Give the box for a frame without gaps: the whole surface, if nothing less is sure."""
-        (_, rows, _, columns, _), (of_rows, of_columns) = self.whole, self._at
-        margin, noise = self._margin, self._noise
         return surface.box(
             y.reshape(-1),
-            of_rows,
-            of_columns,
-            (rows, columns),
+            self._down,
+            self._across,
+            self._ends,
+            self._shape,
             self._threshold,
-            margin,
-            noise,
+            self._margin,
+            self._noise,
             QUIET_SIGMAS,
             HIDDEN,
         )

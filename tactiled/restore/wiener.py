@@ -21,6 +21,9 @@ def wiener_weight(scene: Scene) -> Floats:
     return np.asarray(h * S / (h**2 * S + 1 + scene.gain_variance * S))
 
 
+Sums = tuple[float, float, float, float]
+
+
 class Filter:
     """One spectrum's filter, with the total force and the noise that it leaves."""
 
@@ -51,7 +54,7 @@ class Wiener:
         self._synthesise = modes.head_to_surface()
         self._modes, self._image = np.empty_like(scene.c), self._synthesise.empty()
         self.noise_gain = 0.0
-        self.sums = 0.0, 0.0, 0.0, 0.0  # of the last image, as by `coefficients.signed_sums`
+        self._sums: Sums | None = None
 
     def filter(self) -> Filter:
         """Give the filter of the scene's spectrum, made when that spectrum is first met."""
@@ -71,6 +74,12 @@ class Wiener:
         scale = scene.force_scale(missed)
         if scale != 1.0:
             np.multiply(self._modes, np.float32(scale), out=self._modes)
-        image = self._synthesise(self._modes, self._image)
-        self.sums = coefficients.signed_sums(image.reshape(len(image), -1))
-        return image
+        self._sums = None
+        return self._synthesise(self._modes, self._image)
+
+    @property
+    def sums(self) -> Sums:
+        """Of the last image, as by `coefficients.signed_sums`."""
+        if self._sums is None:
+            self._sums = coefficients.signed_sums(self._image.reshape(len(self._image), -1))
+        return self._sums

@@ -141,8 +141,8 @@ def surface(sensor: Sensor, image: Image) -> schemas.Surface:
         **_message(image, sensor.status()),
         unit=image.unit,
         cell_mm=cells.side,
-        origin_mm=(cells.corner[0] - columns.start * cells.side, cells.corner[1] - rows.start * cells.side),
-        own=(rows.start, rows.stop, columns.start, columns.stop),
+        origin_mm=(cells.corner - cells.side * np.array([columns.start, rows.start])).tolist(),
+        own=[rows.start, rows.stop, columns.start, columns.stop],
         values=values,
         deviation=deviation,
     )

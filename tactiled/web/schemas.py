@@ -182,10 +182,12 @@ class Surface(FrameId, Message):
     type: Literal["surface"] = "surface"
     unit: Unit
     cell_mm: float = Field(examples=[0.5])
-    origin_mm: tuple[float, float] = Field(
-        description="x and y of the first cell's centre", examples=[[-2.0, -2.0]]
+    origin_mm: list[float] = Field(
+        min_length=2, max_length=2, description="x and y of the first cell's centre", examples=[[-2.0, -2.0]]
     )
-    own: tuple[int, int, int, int] = Field(
+    own: list[int] = Field(
+        min_length=4,
+        max_length=4,
         description="cells of `restored`: first row, end of rows, first column, end of columns",
         examples=[[4, 36, 4, 36]],
     )

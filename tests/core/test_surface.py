@@ -12,7 +12,8 @@ from tactiled.core import surface
 def test_the_box_is_around_all_that_reads_more_where_the_rest_is_as_noise_is(y, seed, noise):
     random, whole = np.random.default_rng(seed), (0, 12, 0, 14, False)
     rows, columns = random.integers(0, 9, (2, len(y)), np.int32)
-    found = surface.box(np.array(y, np.float32), rows, columns, (12, 14), 1, 2, noise, 4, 0.5)
+    ends = tuple(int(f(each)) for each in (rows, columns) for f in (np.min, np.max))
+    found = surface.box(np.array(y, np.float32), rows, columns, ends, (12, 14), 1, 2, noise, 4, 0.5)
     above = np.array(y) > 1
     if not above.any():
         assert found == whole

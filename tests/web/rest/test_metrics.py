@@ -44,7 +44,7 @@ def test_metrics_are_those_of_the_api(rig, url):
         rig.show(pressed())
     rig.send(pressed(), drop=(1,))
     rig.bus._bus.send(can.Message(is_error_frame=True))
-    until(lambda: rig.sensor.status().loss.lost and rig.sensor.status().loss.errors)
+    until(lambda: rig.sensor.status().loss.incomplete and rig.sensor.status().loss.errors)
     metrics, state = scrape(url), ask("GET", url + "/api/v1/sensors/palm").json()
     assert {kind: metrics[palm("loss_total", kind=kind)] for kind in state["loss"]} == state["loss"]
     assert state["loss"]["lost"] == state["loss"]["errors"] == 1
