@@ -4,7 +4,7 @@ import ctypes
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
-from threading import Lock, Thread, get_ident
+from threading import Condition, Lock, Thread, get_ident
 from types import TracebackType
 
 MAX_HOLD_S = 5e-3  # after which the next thread begins beside the one that has the lock
@@ -32,6 +32,26 @@ def join_started(thread: Thread) -> None:
     """Wait for a thread's end; return at once if it was never started, which `Thread.join` refuses."""
     if thread.ident is not None:
         thread.join()
+
+
+class Worker:
+    """A thread for `work`, which waits on `_wake` for something to do, until it is `_stopping`."""
+
+    def __init__(self, name: str, work: Callable[[], None]) -> None:
+        self._wake = Condition()
+        self._stopping = False
+        self._thread = Thread(target=work, name=name, daemon=True)
+
+    def start(self) -> None:
+        """Be ready to work."""
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Work no more; returns when the thread has ended."""
+        with self._wake:
+            self._stopping = True
+            self._wake.notify()
+        join_started(self._thread)
 
 
 _BACKGROUND = Lock()  # of what runs beside the frames: more at a time would take more turns from them

@@ -12,7 +12,7 @@ from tactiled.contacts.tracking import Tracker
 from tactiled.frames import Image
 from tactiled.geometry import Array, Raster
 from tactiled.live.hub import Hub
-from tactiled.threads import join_started
+from tactiled.threads import Worker
 
 Deviation = Callable[[Image], Floats32]
 
@@ -39,32 +39,19 @@ class ImageContacts:
         return tuple(self._tracker(contacts, time_s, BEGIN_SIGMAS * noise))
 
 
-class ContactSearch:
+class ContactSearch(Worker):
     """Looks for contacts on request, and in between on its own thread, so that none is lost between requests."""
 
     def __init__(
         self, name: str, hub: Hub, array: Array, cells: Raster, deviation: Deviation | None = None
     ) -> None:
+        super().__init__(f"contacts {name}", self._work)
         self._hub = hub
         self._find = ImageContacts(array, cells, deviation)
         self._looking = threading.Lock()
         self._image: Image | None = None  # the one last looked at
         self._contacts: tuple[Contact, ...] = ()
-        self._wake = threading.Condition()
         self._due = self._until = 0.0  # s, monotonic: of the next look, and to which looks go on
-        self._stopping = False
-        self._thread = threading.Thread(target=self._work, name=f"contacts {name}", daemon=True)
-
-    def start(self) -> None:
-        """Be ready to look."""
-        self._thread.start()
-
-    def stop(self) -> None:
-        """Look no more; returns when the thread has ended."""
-        with self._wake:
-            self._stopping = True
-            self._wake.notify()
-        join_started(self._thread)
 
     def contacts(self) -> tuple[Image | None, tuple[Contact, ...]]:
         """The newest image and the contacts in it; any thread."""

@@ -1,47 +1,34 @@
 """From the thread of a bus to the one that restores: the newest frame waits, no other."""
 
-import threading
 import time
 from collections.abc import Callable
 from dataclasses import replace
 from math import inf
 
 from tactiled.frames import Loss, RawFrame
-from tactiled.threads import join_started
+from tactiled.threads import Worker
 
 QUICK_S = 5e-3  # of processor time for the frame before, up to which the bus's thread restores the next
 
 
-class HandOver:
+class HandOver(Worker):
     """Restores the newest frame on its own thread, or on the caller's where frames take little time."""
 
     def __init__(self, name: str, restore: Callable[[RawFrame, float], None]) -> None:
         """`restore` gets a frame and when it was assembled (s)."""
+        super().__init__(f"restore {name}", self._work)
         self._restore = restore
-        self._wake = threading.Condition()
         self._waiting: tuple[RawFrame, float] | None = None  # and when it was assembled (s)
-        self._working = self._stopping = False
+        self._working = False
         self._finished = 0  # frames
         self._took_s = inf  # of processor time, the newest of them; before any, as the first builds its tables
         self.skipped = 0  # frames
         self.loss = Loss()  # of the newest frame
-        self._thread = threading.Thread(target=self._work, name=f"restore {name}", daemon=True)
 
     @property
     def turns(self) -> int | None:
         """Frames that are finished; None while there is none to restore."""
         return self._finished if self._working or self._waiting is not None else None
-
-    def start(self) -> None:
-        """Start restoring."""
-        self._thread.start()
-
-    def stop(self) -> None:
-        """Stop restoring; returns when the thread has ended."""
-        with self._wake:
-            self._stopping = True
-            self._wake.notify()
-        join_started(self._thread)
 
     def offer(self, frame: RawFrame, assembled: float, wake: bool) -> None:
         """Let a frame wait; one that still waits is skipped. Without `wake` the caller takes the turn."""
