@@ -90,7 +90,6 @@ class Part(Kriging):
         self._beyond, self._whole = np.divmod(self._missing, shape[-1]), (0, shape[0], 0, shape[-1])
         arrays = self._there, modes.gain, *modes.taxel, modes.frequency, gain_variance
         self._matrices: Kept[tuple[Image, Floats]] = kept("part", *arrays)
-        self._levels: dict[tuple[float, float, int], Spectrum] = {}
         whole = not len(self._missing)
         sides = zip(modes.taxel, blur.frame_shape, strict=True)
         self.bases = tuple(U if whole else _cosines(n) for U, n in sides)
@@ -177,11 +176,7 @@ class Part(Kriging):
         """Give the one by whose matrix a spectrum's frames are completed: itself where that is made in no time."""
         if len(self._missing) * len(self._known) <= FEW_VALUES:
             return spectrum
-        step = round(log(spectrum.level, LEVEL_STEP))
-        key = spectrum.corner, spectrum.power, step
-        if key not in self._levels:
-            self._levels[key] = replace(spectrum, level=LEVEL_STEP**step)
-        return self._levels[key]
+        return replace(spectrum, level=LEVEL_STEP ** round(log(spectrum.level, LEVEL_STEP)))
 
     def _matrix(self, spectrum: Spectrum) -> tuple[Image, Floats]:
         """-Q_mm^-1 Q_mk of a spectrum, and by how much Q_kk's diagonal is lower as the others are not there."""

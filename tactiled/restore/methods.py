@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -95,21 +96,22 @@ class Restorer:
 
         Both are NaN beyond if the method leaves that open, the deviation all over if no taxel had data.
         """
-        scene, image = self._scene, np.full(self._scene.blur.surface_shape, np.nan, np.float32)
-        if self.surface.shape == image.shape:
-            image = self.surface
-        else:
-            scene.inside(image)[...] = self.surface
+        scene, image = self._scene, self._on_surface(self.surface)
         if self._empty:
             return image, np.full(image.shape, np.nan)
         spread = self._method.deviation()
         unfelt = self._inpainter.deviation() if self._filled else scene.unfelt(scene.spectrum)
         if self._knows_unfelt:  # beyond the array and between taxels, not of those that are inferred
             unfelt = np.sqrt(np.maximum(unfelt**2 - scene.unfelt(scene.spectrum) ** 2, 0))
-        if spread.shape != image.shape:
-            own, spread = spread, np.full(image.shape, np.nan)
-            scene.inside(spread)[...] = own
-        return image, np.asarray(np.hypot(spread, unfelt), float)
+        return image, np.asarray(np.hypot(self._on_surface(spread), unfelt), float)
+
+    def _on_surface(self, values: NDArray[Any]) -> NDArray[Any]:
+        """Give values of the surface, or of the array alone: then NaN beyond."""
+        if values.shape == self._scene.blur.surface_shape:
+            return values
+        whole = np.full(self._scene.blur.surface_shape, np.nan, values.dtype)
+        self._scene.inside(whole)[...] = values
+        return whole
 
 
 def named(name: str) -> str:
