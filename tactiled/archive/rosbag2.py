@@ -18,9 +18,7 @@ from tactiled.live.contact_search import ImageContacts
 from tactiled.messages import ros
 from tactiled.units import nanoseconds
 
-VERSION: Literal[8] = (
-    8  # of metadata.yaml: rosbag2 from Humble to Jazzy and on reads it; 9 has QoS that Iron cannot
-)
+VERSION: Literal[8] = 8  # of metadata.yaml: rosbag2 from Humble to 0.34 reads it; 9 has QoS that Iron cannot
 
 
 class Rosbag2Writer:

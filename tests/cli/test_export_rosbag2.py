@@ -21,7 +21,7 @@ from tests.cli.test_export import check_mcap, exported
 
 ORIGIN_MM, ORIENTATION = [10.0, 0.0, 2.5], [0.0, 0.0, 0.7071, 0.7071]
 PLACE = f'pitch_mm = 1.0, frame_id = "hand", origin_mm = {ORIGIN_MM}, orientation = {ORIENTATION}'
-# What rosbag2 0.22 to 0.29 reads of metadata.yaml: rosbag2_storage/include/rosbag2_storage/yaml.hpp
+# What rosbag2 0.22 to 0.34 reads of metadata.yaml: rosbag2_storage/include/rosbag2_storage/yaml.hpp
 METADATA = {
     "version", "storage_identifier", "duration", "starting_time", "message_count", "topics_with_message_count",
     "relative_file_paths", "compression_format", "compression_mode", "files", "custom_data", "ros_distro",
