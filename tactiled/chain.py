@@ -119,8 +119,10 @@ class Chain:
 
     def _sheared(self, frame: RawFrame, raw: Floats32, flags: Flags) -> Floats | None:
         """Pressure and shear of a frame (3, N) in kPa, NaN where unknown; None where shear is not restored."""
+        if self._traction is None or frame.shear is None:
+            return None
         zero = self.shear_rest if np.isnan(self.shear_zero).all() else self.shear_zero
-        if self._traction is None or frame.shear is None or zero is None:
+        if zero is None:
             return None
         shear = (frame.shear - zero) * self.plan.kpa_per_shear_count
         readings = np.concatenate([raw.reshape(1, -1), shear]).astype(float)

@@ -1,4 +1,7 @@
-"""The frozen values that pass from the bus to the browser, or to a calibration."""
+"""The values that pass from the bus to the browser, or to a calibration.
+
+None is changed once it is made. RawFrame and Image are not frozen: that would cost 4 µs in every frame.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -70,7 +73,7 @@ class Loss:
     undelivered: int = 0  # images that a reader published and that were lost, or overtaken, on their way
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(slots=True, eq=False)
 class RawFrame:
     """One frame in counts; a missing taxel's count is 0 and its flag is MISSING."""
 
@@ -109,7 +112,7 @@ class StageTimes(NamedTuple):
     checked: float  # its warnings were known
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(slots=True, eq=False)
 class Image:
     """One frame of pressures, as measured and as restored, with everything known against it."""
 

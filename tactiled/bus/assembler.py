@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from tactiled.bus.arrivals import NOWHERE, Arrivals, decoded, moment
 from tactiled.bus.batch import Batch
-from tactiled.bus.codec import NO_SEQUENCE, Codec, ShearCodec
+from tactiled.bus.codec import NO_SEQUENCE, Codec
 from tactiled.bus.open_frame import Cycle, OpenFrame
 from tactiled.errors import CodecError
 from tactiled.frames import BAD, MISSING, Counts, Loss, Message, RawFrame
@@ -215,9 +215,9 @@ def unpacked(codec: Codec, payloads: Sequence[bytes | None]) -> tuple[Counts, ND
     counts: Counts = codec.unpack(payloads)
     if counts.shape != (codec.size,) or counts.dtype.char not in "Hf":
         raise CodecError(f"unpack gave {counts.dtype} {counts.shape}, not uint16 or float32 {(codec.size,)}")
-    if not isinstance(codec, ShearCodec):
+    if (sheared := codec.shear(payloads)) is None:
         return counts, None
-    shear = np.asarray(codec.shear(payloads), np.float32)
+    shear = np.asarray(sheared, np.float32)
     if shear.shape != (2, codec.size):
         raise CodecError(f"shear gave {shear.shape}, not {(2, codec.size)}")
     return counts, shear

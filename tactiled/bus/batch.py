@@ -15,9 +15,9 @@ MAX_BYTES = 64  # of a message
 COLUMNS = np.arange(MAX_BYTES, dtype=np.uint8)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(slots=True, eq=False)
 class Batch:
-    """Some messages (n), in the order in which they came."""
+    """Some messages (n), in the order in which they came; never changed once it is made."""
 
     times: NDArray[np.float64]  # (n,) s
     ids: NDArray[np.uint32]  # (n,) with EXTENDED

@@ -126,6 +126,11 @@ class Codec(ABC):
         del payloads
         return None
 
+    def shear(self, payloads: Sequence[bytes | None]) -> NDArray[np.float32] | None:
+        """Shear (2, N) of one frame along x and y, as of ShearCodec; None: the skin feels none."""
+        del payloads
+        return None
+
     @abstractmethod
     def encode(self, counts: Counts, sequence: int, time: float) -> list[Message]:
         """The messages of one frame (N,), the inverse of `readings` and `unpack`."""

@@ -179,7 +179,7 @@ class Sensor:
     def note_send(self, image: Image) -> None:
         """A client is sent an image now; on the event loop."""
         now = time.monotonic()
-        self.timings.add_send(image, now)
+        self.timings.note_send(image, now)
         self.sends.publish((image, now))
 
     def _note_arrival(self, frame: RawFrame) -> float:

@@ -84,7 +84,8 @@ def test_histograms_count_every_image_that_was_restored_and_sent(rig, url):
 
 
 def test_a_line_of_a_histogram_takes_few_calls_and_any_name(rig):
-    rig.sensor.name, rig.sensor.timings.methods = 'pa"l\\m', {f"m{n}": Histogram() for n in range(500)}
+    rig.sensor.name = 'pa"l\\m'
+    rig.sensor.timings.methods.update({f"m{n}": Histogram() for n in range(500)})
     profile = cProfile.Profile()
     text = profile.runcall(prometheus.text, rig.service, ConcurrencyLimit(1, 1), Places(1)).decode()
     assert samples(text)["tactiled_restore_seconds_count", ("method", "m0"), ("sensor", 'pa"l\\m')] == 0
