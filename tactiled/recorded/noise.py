@@ -30,6 +30,11 @@ def numbers_with_data(recorded: Iterable[RawFrame]) -> tuple[int, ...]:
     return tuple(islice((n for n, each in searched if _has_data(each)), NOISE_FRAMES))
 
 
+def are_all(numbers: Sequence[int], count: int) -> bool:
+    """Whether no more of `numbers_with_data` come where more than these `count` frames are searched."""
+    return len(numbers) == NOISE_FRAMES or count >= MAX_NOISE_SEARCH
+
+
 def _has_data(frame: RawFrame) -> bool:
     return bool((frame.flags & UNKNOWN == 0).any())
 

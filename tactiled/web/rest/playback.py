@@ -15,6 +15,7 @@ from tactiled.frames import Loss
 from tactiled.live.sensor import Sensor
 from tactiled.live.service import Service
 from tactiled.recorded.frames import RecordedFrames
+from tactiled.recorded.noise import are_all
 from tactiled.recorded.playback import Playback, noise_frames
 from tactiled.recorded.series import SeriesRuns
 from tactiled.units import FORCE_UNITS, ForceUnit, if_calibrated
@@ -170,8 +171,21 @@ class Playbacks:
     def playback(self, sensor: Sensor, recorded: RecordedFrames) -> Playback:
         """What restores a sensor's frames, by its present calibration; Problem where there is none yet."""
         need_frame(sensor, recorded, 0)
-        measured = self._noise_frames(sensor.plan, recorded, recorded.count(sensor.name))
+        measured = self.noise_frames(sensor, recorded)
+        if measured is None:
+            raise Problem(409, f"recording {recorded.path.name}: its noise is not measured yet", SOON)
         return self._restoring(sensor.plan, sensor.pipeline.zero, recorded, measured)
+
+    def noise_frames(self, sensor: Sensor, recorded: RecordedFrames) -> tuple[int, ...] | None:
+        """Numbers of the frames that its noise is measured from; None until all of them are read.
+
+        An image by the noise of some of them would differ from the same frame's later.
+        """
+        reading = recorded.reading  # first: more may come meanwhile
+        count = recorded.count(sensor.name)
+        numbers = self._noise_frames(sensor.plan, recorded, count)
+        measures = sensor.plan.restores_shear or not sensor.plan.calibration.noise_kpa
+        return None if reading and measures and not are_all(numbers, count) else numbers
 
     def close(self) -> None:
         """Close all."""
@@ -215,7 +229,10 @@ def _state(playbacks: Playbacks, sensor: Sensor, recorded: RecordedFrames) -> Re
         "error": without_path(recorded.error, recorded.path) or None,
         "caveats": recorded.caveats,
     }  # fmt: skip
-    if frames := recorded.count(sensor.name):
+    frames = recorded.count(sensor.name)
+    if frames and playbacks.noise_frames(sensor, recorded) is None:
+        frames = 0
+    if frames:
         playback = playbacks.playback(sensor, recorded)
         positions, force = playback.overview()
         first, last = (recorded.heads(sensor.name, n, 1)[0] for n in (0, frames - 1))

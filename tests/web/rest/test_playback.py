@@ -152,6 +152,22 @@ def test_frames_that_are_not_read_yet_are_refused_by_number_and_position(client,
     assert images(client, "a.log", at=0.2)[0] == 19
 
 
+def test_no_frame_is_restored_before_the_frames_that_its_noise_is_measured_from_are_read(
+    client, folder, monkeypatch
+):
+    path = write(folder / "slow.log", list(traffic()))
+    opened(client, path.name)
+    with monkeypatch.context() as slow:
+        slow.setattr(RecordedFrames, "reading", True)
+        slow.setattr(RecordedFrames, "count", lambda *_: 4)
+        early = client.get(f"/{path.name}/frames", params=PALM | {"first": 0})
+        assert problem(early, 409) == "recording slow.log: its noise is not measured yet"
+        state = client.get(f"/{path.name}/playback", params=PALM).json()
+        assert (state["frames"], state["reading"], state["noise"]) == (0, True, None)
+    assert images(client, path.name, first=0)[0] == 0
+    path.unlink()
+
+
 def test_an_answer_is_short_where_restoring_takes_long(client, monkeypatch):
     opened(client, "a.log")
     monkeypatch.setattr(playback, "ANSWER_S", 0.0)
