@@ -12,9 +12,10 @@ from typing import Any, BinaryIO
 import numpy as np
 from numpy.typing import NDArray
 
+from tactiled.archive.writers import Writer
 from tactiled.build import SensorPlan
 from tactiled.contacts.regions import Measures
-from tactiled.frames import Image, Loss, Message
+from tactiled.frames import Image, Loss
 from tactiled.units import PRESSURE
 
 Arrays = dict[str, NDArray[Any]]
@@ -31,7 +32,7 @@ LABELS = {
 NO_VARIABLE = "This is a netCDF dimension but not a netCDF variable.{:10d}"  # netCDF's name of such a scale
 
 
-class NpzWriter:
+class NpzWriter(Writer):
     """numpy's .npz; until it is written each array of a frame has a file of its own beside it."""
 
     def __init__(self, path: Path, plan: SensorPlan) -> None:
@@ -44,9 +45,6 @@ class NpzWriter:
 
     def _column(self, name: str) -> Path:
         return self._path.with_name(f".{name}")
-
-    def add_message(self, message: Message) -> None:
-        """Take one message, before the image that it completes."""
 
     def add_image(self, image: Image, regions: Mapping[str, Measures]) -> None:
         """Append one frame."""

@@ -10,9 +10,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactiled.archive.arrays import LOSS_KINDS, loads
+from tactiled.archive.writers import Writer
 from tactiled.build import SensorPlan
 from tactiled.contacts.regions import Measures, measure_units
-from tactiled.frames import Image, Message
+from tactiled.frames import Image
 from tactiled.units import PRESSURE, SHEAR, Unit
 
 
@@ -26,7 +27,7 @@ def values(numbers: Iterable[float]) -> list[str]:
     return ["" if each != each else f"{each:.6g}" for each in numbers]
 
 
-class CsvWriter:
+class CsvWriter(Writer):
     """One CSV file, written as images come; it has no provenance."""
 
     def __init__(self, path: Path, plan: SensorPlan) -> None:
@@ -35,9 +36,6 @@ class CsvWriter:
         self._plan, self._unit = plan, plan.unit
         self._empty = True
         self.close = self._file.close
-
-    def add_message(self, message: Message) -> None:
-        """Take one message, before the image that it completes."""
 
     def add_image(self, image: Image, regions: Mapping[str, Measures]) -> None:
         """Append one frame."""

@@ -8,6 +8,7 @@ from typing import Any
 from mcap.writer import IndexType, Writer
 
 from tactiled import __version__
+from tactiled.archive import writers
 from tactiled.build import SensorPlan
 from tactiled.contacts.regions import Measures
 from tactiled.frames import Image, Message
@@ -15,7 +16,7 @@ from tactiled.messages import foxglove
 from tactiled.units import nanoseconds
 
 
-class McapWriter:
+class McapWriter(writers.Writer):
     """One MCAP file, written as messages and images come.
 
     A record's publish time is its own; its log time never falls, though an image, of the time of its frame's first

@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 from pyarrow import parquet
 
 from tactiled.archive import arrays
+from tactiled.archive.writers import Writer
 from tactiled.build import SensorPlan
 from tactiled.contacts.regions import Measures
-from tactiled.frames import Image, Message
+from tactiled.frames import Image
 
 
-class ParquetWriter:
+class ParquetWriter(Writer):
     """One Parquet file, written by row groups of some MB."""
 
     def __init__(self, path: Path, plan: SensorPlan) -> None:
@@ -28,9 +29,6 @@ class ParquetWriter:
         self._file = path.open("wb")
         self._table: Any = None  # under way from the first row group on
         self.close = self._file.close
-
-    def add_message(self, message: Message) -> None:
-        """Take one message, before the image that it completes."""
 
     def add_image(self, image: Image, regions: Mapping[str, Measures]) -> None:
         """Append one frame, which is written with the others of its row group."""

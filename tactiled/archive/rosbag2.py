@@ -11,9 +11,10 @@ from typing import Any, Literal
 from rosbags.interfaces import Connection
 from rosbags.rosbag2 import StoragePlugin, Writer
 
+from tactiled.archive import writers
 from tactiled.build import SensorPlan
 from tactiled.contacts.regions import Measures
-from tactiled.frames import Image, Message
+from tactiled.frames import Image
 from tactiled.live.contact_search import ImageContacts
 from tactiled.messages import ros
 from tactiled.units import nanoseconds
@@ -21,7 +22,7 @@ from tactiled.units import nanoseconds
 VERSION: Literal[8] = 8  # of metadata.yaml: rosbag2 from Humble to 0.34 reads it; 9 has QoS that Iron cannot
 
 
-class Rosbag2Writer:
+class Rosbag2Writer(writers.Writer):
     """One bag with MCAP storage, written as images come."""
 
     storage = StoragePlugin.MCAP
@@ -33,9 +34,6 @@ class Rosbag2Writer:
         with _os_errors():
             self._writer.open()
         self._connections: dict[str, Connection] = {}  # of topics that have a message
-
-    def add_message(self, message: Message) -> None:
-        """Take one message, before the image that it completes."""
 
     def add_image(self, image: Image, regions: Mapping[str, Measures]) -> None:
         """Write one image, its contacts, regions and status, at the time of its frame."""

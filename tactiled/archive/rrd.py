@@ -10,16 +10,17 @@ from typing import Any
 
 import rerun as rr
 
+from tactiled.archive.writers import Writer
 from tactiled.build import SensorPlan
 from tactiled.contacts.regions import Measures
-from tactiled.frames import Image, Message
+from tactiled.frames import Image
 from tactiled.live.contact_search import ImageContacts
 from tactiled.messages import rerun as rerun_images
 
 COPY_BYTES = 1 << 20  # at once
 
 
-class RrdWriter:
+class RrdWriter(Writer):
     """One .rrd file, written through a pipe: Rerun's SDK itself hangs if the disk is full."""
 
     def __init__(self, path: Path, plan: SensorPlan) -> None:
@@ -44,9 +45,6 @@ class RrdWriter:
                         self._file.flush()
                 except OSError as error:
                     self._error = error
-
-    def add_message(self, message: Message) -> None:
-        """Take one message, before the image that it completes."""
 
     def add_image(self, image: Image, regions: Mapping[str, Measures]) -> None:
         """Write one image, its contacts and warnings, and what its regions hold."""

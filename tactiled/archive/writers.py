@@ -1,6 +1,6 @@
 """Formats of exports: what a writer is, and the table of writers by the ending of their file's name."""
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
@@ -15,11 +15,13 @@ from tactiled.frames import Image, Message
 class Writer(Protocol):
     """One export under way. Beside `path` it may have temporary files, which are removed after it."""
 
+    close: Callable[[], object]  # lets go of every file, complete or not; once more does nothing
+
     def __init__(self, path: Path, plan: SensorPlan) -> None:
         """Start a file or folder at `path`, which is not there yet, for the images of one sensor."""
 
     def add_message(self, message: Message) -> None:
-        """Take one data frame of the sensor's bus, before the image that it completes."""
+        """Take one data frame of the sensor's bus, before the image that it completes; most have no place for it."""
 
     def add_image(self, image: Image, regions: Mapping[str, Measures]) -> None:
         """Append one frame: its times, raw and restored image, flags, method, loss; memory stays bounded.
@@ -29,9 +31,6 @@ class Writer(Protocol):
 
     def finish(self, provenance: Mapping[str, Any]) -> None:
         """Complete what is at `path`, with `provenance` (JSON's types) in it."""
-
-    def close(self) -> None:
-        """Let go of every file, complete or not; once more does nothing."""
 
 
 class Format(NamedTuple):

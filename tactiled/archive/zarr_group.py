@@ -10,15 +10,16 @@ import zarr
 from zarr.codecs import ZstdCodec
 
 from tactiled.archive import arrays
+from tactiled.archive.writers import Writer
 from tactiled.build import SensorPlan
 from tactiled.contacts.regions import Measures
-from tactiled.frames import Image, Message
+from tactiled.frames import Image
 
 NO_DATA = {"f": np.nan, "i": -1, "u": 255, "T": ""}  # by kind of dtype: a lost chunk reads so, not as pressure 0
 LOCAL = "Consolidated metadata is currently not part"  # of Zarr 3, says zarr: others ignore it
 
 
-class ZarrWriter:
+class ZarrWriter(Writer):
     """One group; its arrays have a chunk for every so many frames, the last one fewer."""
 
     def __init__(self, path: Path, plan: SensorPlan) -> None:
@@ -27,9 +28,6 @@ class ZarrWriter:
         self._chunk = arrays.Chunk()
         self._dimensions = arrays.dimensions(plan)
         self.close = self._chunk.take
-
-    def add_message(self, message: Message) -> None:
-        """Take one message, before the image that it completes."""
 
     def add_image(self, image: Image, regions: Mapping[str, Measures]) -> None:
         """Append one frame, which is written with the others of its chunk."""
