@@ -21,7 +21,7 @@ class Writer(Protocol):
         """Start a file or folder at `path`, which is not there yet, for the images of one sensor."""
 
     def add_message(self, message: Message) -> None:
-        """Take one data frame of the sensor's bus, before the image that it completes; most have no place for it."""
+        """Take one data frame of the bus, before the image that it completes; most formats cannot hold one."""
 
     def add_image(self, image: Image, regions: Mapping[str, Measures]) -> None:
         """Append one frame: its times, raw and restored image, flags, method, loss; memory stays bounded.

@@ -1,7 +1,7 @@
 """A skin to measure on: an array under a cover, blurred exactly, restored with the operators that a user has."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -87,11 +87,12 @@ def doubled(skin: Skin) -> Skin:
 
 def _scaled(stack: Stack, thickness: float = 1.0, young: float = 1.0, poisson: float = 1.0) -> Stack:
     """Scale the layers over the sensing plane; Poisson's ratio stays below a half."""
-    layers = list(stack.layers)
-    for n, layer in enumerate(layers[: stack.sensing]):
+
+    def scaled(layer: Layer) -> Layer:
         ratio = min(layer.poisson * poisson, max(MAX_POISSON, layer.poisson))
-        layers[n] = replace(layer, thickness=layer.thickness * thickness, young=layer.young * young, poisson=ratio)
-    return replace(stack, layers=tuple(layers))
+        return Layer(layer.thickness * thickness, layer.young * young, ratio)
+
+    return stack.with_cover(scaled)
 
 
 def configured(path: Path, sensor: str | None = None) -> Skin:

@@ -1,4 +1,4 @@
-"""`tactiled bench`: speed, accuracy and failures of restoration on this machine and on one's own skin."""
+"""`tactiled bench`: speed, accuracy and failures of restoration, here and on one's own skin; `tactiled paper`."""
 
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -112,6 +112,14 @@ def report(
 
     with _measuring(out, config, sensor) as skins:
         print(write(out, skins, reduced, seed))
+
+
+def paper(out_dir: Annotated[Path, typer.Argument(help="Folder for the figures and index.html.")]) -> None:
+    """Reproduce the figures of Shimojo's paper, and compare its statements with both models."""
+    from tactiled.bench.paper.page import write
+
+    with threadpool_limits(1):
+        print(write(out_dir))
 
 
 def load(

@@ -148,7 +148,7 @@ def _fit(
     array, rails = make_array(sensor), _rails(sensor)
     series = series.without(sensor.calibration.dead)
     if steps_kpa is not None:
-        return uniform.fit_steps(series, _numbers(steps_kpa), rails, array)
+        return uniform.fit_steps(series, options.numbers("steps-kpa", steps_kpa), rails, array)
     if weight_n is not None:
         return force_gain.fit_weight(series, weight_n, array, rails, _reach(sensor, before, array))
     assert reference is not None
@@ -173,13 +173,6 @@ def _rails(sensor: schema.Sensor) -> Rails:
     configured, skin = sensor.calibration, sensor.codec.settings
     sign = float(np.sign(configured.kpa_per_count or skin.kpa_per_count or 0))
     return Rails.of(configured.saturation, make_codec(sensor).ends, sign)
-
-
-def _numbers(text: str) -> list[float]:
-    try:
-        return [float(each) for each in text.split(",")]
-    except ValueError as error:
-        raise ConfigError(f"--steps-kpa {text!r}: give numbers with commas between") from error
 
 
 def _lines(fit: "GainFit") -> list[str]:

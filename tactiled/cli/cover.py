@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import asdict
-from functools import partial
 from pathlib import Path
 from time import perf_counter
 from typing import Annotated, Any, Literal
@@ -70,7 +69,10 @@ def cover(
     stack, array = _configured(config, sensor) if config else (stack, grid(1, 1, pitch))
     q, rise = None if at is None else _frequencies(at), _profile(profile or [])
     start, press = perf_counter(), None
-    late = partial(_is_past, start + budget)
+
+    def late() -> bool:
+        return perf_counter() > start + budget
+
     kernel = solve(stack, model, accuracy, rise, late)
     seconds, summary = perf_counter() - start, summarise(kernel, array, noise)
     if q is None:
@@ -109,10 +111,6 @@ def _configured(config: Path, name: str | None) -> tuple[Stack, Array]:
     if file and path and (cover := matching(path, file, name, sensor).cover):
         stack = stack.thickened(cover.factor)
     return stack, make_array(sensor)
-
-
-def _is_past(end: float) -> bool:
-    return perf_counter() > end
 
 
 def _round_frequencies(summary: CoverSummary) -> Floats:

@@ -43,7 +43,7 @@ class Verbs(TyperGroup):
     """The verbs of VERBS: `--help` and completion of their names read it, and running one imports its function."""
 
     lines, file = VERBS, "tactiled.cli.{}"
-    files: ClassVar[dict[str, str]] = {}  # of verbs that have their own
+    files: ClassVar = {"paper": "tactiled.cli.bench"}  # of verbs that are in another
 
     def __init__(self, *, commands: dict[str, Any], **settings: Any) -> None:
         lines = dict(line.split(maxsplit=1) for line in self.lines.splitlines())

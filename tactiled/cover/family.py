@@ -8,7 +8,7 @@ from scipy.interpolate import RectBivariateSpline
 
 from tactiled.arrays import Floats
 from tactiled.cover import kernel, layered
-from tactiled.cover.stack import Stack
+from tactiled.cover.stack import Layer, Stack
 from tactiled.errors import PhysicsError
 
 FACTORS = (0.25, 4.0)  # thinnest and thickest cover of a family, over the configured thickness
@@ -71,11 +71,12 @@ class CoverFamily:
 
 def shifted(stack: Stack, poisson: float) -> Stack:
     """The stack with Poisson's ratio moved by `poisson` in all layers over the sensing plane, as far as it may."""
-    layers = [
-        replace(each, poisson=min(max(each.poisson + poisson, 0.0), max(MAX_POISSON, each.poisson)))
-        for each in stack.layers[: stack.sensing]
-    ]
-    return replace(stack, layers=(*layers, *stack.layers[stack.sensing :]))
+
+    def moved(layer: Layer) -> Layer:
+        highest = max(MAX_POISSON, layer.poisson)
+        return replace(layer, poisson=min(max(layer.poisson + poisson, 0.0), highest))
+
+    return stack.with_cover(moved)
 
 
 def lagrange(at: float, nodes: Floats) -> Floats:

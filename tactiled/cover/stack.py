@@ -1,5 +1,6 @@
 """What lies over and under the sensing plane: layers from the top down to a rigid base."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import accumulate
 
@@ -86,8 +87,12 @@ class Stack:
 
     def thickened(self, factor: float) -> "Stack":
         """The stack with every layer over the sensing plane `factor` times as thick."""
-        above = [replace(each, thickness=each.thickness * factor) for each in self.layers[: self.sensing]]
-        return replace(self, layers=(*above, *self.layers[self.sensing :]))
+        return self.with_cover(lambda layer: replace(layer, thickness=layer.thickness * factor))
+
+    def with_cover(self, change: Callable[[Layer], Layer]) -> "Stack":
+        """The stack with every layer over the sensing plane changed."""
+        cover, rest = self.layers[: self.sensing], self.layers[self.sensing :]
+        return replace(self, layers=(*map(change, cover), *rest))
 
 
 @dataclass(frozen=True, slots=True)

@@ -16,13 +16,15 @@ from tactiled.errors import ConfigError
 from tactiled.frames import Message
 from tactiled.geometry import Array
 from tactiled.simulate.array import Surface, Taxels
-from tactiled.simulate.drag import traction
-from tactiled.simulate.scenes import SCENES
+from tactiled.simulate.scenes import SCENES, Scene
 
 TOUR = ("ring", "indenters", "sphere", "edge", "fingertip", "empty")
 REQUEST_WAIT_S = 0.05  # bounds how late a stop takes effect
 SCENE_S = 8.0  # of a tour in each scene
 ROUNDING_S = 1e-6  # of deadlines: a frame due this close before the end belongs behind it
+FRICTION = 0.25  # tangential load over pressure where what touches slides; made up, so that there is some to see
+SLOW_MM_S = 2.0  # speed at which it is half of that
+MOTION_S = 0.01  # over which motion is looked at
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -43,11 +45,24 @@ class Player:
         sensed = _sensed(surface, pressure)
         if self.felt is None or not isinstance(self.codec, ShearCodec):
             return self.codec.encode(self.taxels.count(sensed), sequence, now)
-        load = traction(scene, surface, t).ravel()
+        load = _drag(scene, surface, t).ravel()
         ends = pressure * (np.ptp(pressure) > 0)  # an even one does not, and drives no rubber apart
         shear = (self.felt.tangential @ load + self.felt.apart @ ends.ravel()).reshape(2, -1)
         counts = self.taxels.count(sensed + self.felt.tilt @ load)
         return self.codec.encode_sheared(counts, self.taxels.shear(shear), sequence, now)
+
+
+def _drag(scene: Scene, surface: Surface, t: float) -> Floats:
+    """Load (2, rows, columns) in kPa on the surface at `t` s, along x and y: as the pressure's centre moves."""
+    now, before = (scene(surface.x, surface.y, at, surface.size, surface.grain) for at in (t, t - MOTION_S))
+    if not (now.any() and before.any()):
+        return np.zeros((2, *now.shape))
+    centre, old_centre = (
+        np.array([(each * x).sum() for x in (surface.x, surface.y)]) / each.sum() for each in (now, before)
+    )  # mm
+    speed = (centre - old_centre) / MOTION_S
+    friction = FRICTION * speed / (np.hypot(*speed) + SLOW_MM_S)
+    return np.asarray(friction[:, None, None] * now)
 
 
 def _sensed(surface: Surface, pressure: Floats) -> Floats:

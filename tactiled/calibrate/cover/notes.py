@@ -16,6 +16,7 @@ CLEAR = 2.5  # standard deviations from what was given, from which a note says s
 # w = 2 / thickness, of which covers pass half, they differ by 0.6 % where b is a fifth of the thickness.
 MAX_BLUR = 0.2
 NOTED = 0.25  # of the thickness's variance: what adds as much is named, too
+MADE_UP = "the thickness makes up for it, and restoration is right as they are"
 
 
 class _Words(NamedTuple):
@@ -34,7 +35,7 @@ def unknown_notes(joint: Joint) -> tuple[str, ...]:
         return ()
     shares = sorted(((joint.share(at), at) for at in words), reverse=True)
     parts = [
-        f"{words[at].of_step} is a cover {_percent(joint.slope(at) * words[at].step)}"
+        f"{words[at].of_step} is a cover {thicker(joint.slope(at) * words[at].step)}"
         for number, (share, at) in enumerate(shares)
         if not number or share > NOTED
     ]
@@ -42,13 +43,9 @@ def unknown_notes(joint: Joint) -> tuple[str, ...]:
     counts = f"of what is not known exactly, {names} counts most: {', '.join(parts)}"
     if joint.misfit > MAX_MISFIT:
         return (counts,)
-    told_of = {at for at in words if at != SIZE or not _is_size_unknown(joint)}
+    is_size_unknown = isinstance(joint.touch, TipTouch) and joint.touch.tip.diameter_mm is None
+    told_of = {at for at in words if at != SIZE or not is_size_unknown}
     return *(words[at].differs(joint) for at in sorted(told_of) if joint.differs(at) > CLEAR), counts
-
-
-def _is_size_unknown(joint: Joint) -> bool:
-    """Whether no diameter was given."""
-    return isinstance(joint.touch, TipTouch) and joint.touch.tip.diameter_mm is None
 
 
 def edge_objection(joint: Joint) -> str:
@@ -68,7 +65,8 @@ def _is_shape_decisive(joint: Joint) -> bool:
     return bool(blur > MAX_BLUR * depth and joint.differs(PROFILE) > CLEAR)
 
 
-def _percent(change: float) -> str:
+def thicker(change: float) -> str:
+    """A change of the thickness's logarithm in words."""
     return f"{abs(100 * np.expm1(change)):.2g} % {'thicker' if change > 0 else 'thinner'}"
 
 
@@ -92,19 +90,13 @@ def _words(joint: Joint, parameter: int) -> _Words:
 def _aperture(joint: Joint) -> str:
     width = joint.touch.array.width
     fitted = width * np.exp(joint.solution.shared[APERTURE])
-    return (
-        f"the presses look like those on an aperture of {fitted:.2g} mm, not {width:.2g} mm: the thickness"
-        " makes up for it, and restoration is right as they are"
-    )
+    return f"the presses look like those on an aperture of {fitted:.2g} mm, not {width:.2g} mm: {MADE_UP}"
 
 
 def _poisson(joint: Joint) -> str:
     configured = joint.touch.family.configured.layers[0].poisson
     fitted = min(configured + joint.solution.shared[POISSON], 0.5)
-    return (
-        f"the presses look like those under a Poisson's ratio of {fitted:.2g}, not {configured:.3g}: the"
-        " thickness makes up for it, and restoration is right as they are"
-    )
+    return f"the presses look like those under a Poisson's ratio of {fitted:.2g}, not {configured:.3g}: {MADE_UP}"
 
 
 def _curvature(joint: Joint) -> str:

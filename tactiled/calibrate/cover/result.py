@@ -10,14 +10,12 @@ from tactiled.calibrate.cover.fit import CoverFit, Method
 from tactiled.calibrate.cover.free_kernel import free_kernel
 from tactiled.calibrate.cover.joint import ENDS, MISFIT, Joint, fit_jointly
 from tactiled.calibrate.cover.likelihood import left_out, pooled, schur
-from tactiled.calibrate.cover.notes import MAX_MISFIT, edge_objection, unknown_notes
+from tactiled.calibrate.cover.notes import MAX_MISFIT, edge_objection, thicker, unknown_notes
 from tactiled.calibrate.cover.presses import Press
 from tactiled.calibrate.cover.recorded_presses import UNCALIBRATED_SPREAD
 from tactiled.calibrate.cover.search import Fitted, Touch, search
 from tactiled.calibrate.cover.unknowns import FACTOR, PROFILE, SIZE
 from tactiled.cover import layered
-from tactiled.cover.family import CoverFamily
-from tactiled.cover.stack import Stack
 from tactiled.restore.noise import NORMAL_95
 
 DOUBLED = float(np.log(2))  # between two estimates of a rubber's modulus, such as from Shore A
@@ -67,11 +65,9 @@ def _reason(ends: tuple[float, float], depth: float, uncalibrated: bool) -> str:
         return f"every cover from {low} to {high} explains the presses: {advice}"
     if thin:
         return f"any cover thinner than {high} explains the presses: is the cover configured far too thick?"
-    return (
-        f"any cover thicker than {low} explains the presses: is the cover configured far too thin?"
-        if thick
-        else ""
-    )
+    if thick:
+        return f"any cover thicker than {low} explains the presses: is the cover configured far too thin?"
+    return ""
 
 
 def _unused(presses: Sequence[Press], fitted: Fitted) -> list[str]:
@@ -109,7 +105,9 @@ def _modulus(fitted: Fitted, joint: Joint) -> str:
     nodes, count = likelihood.model.response.nodes, len(fitted.solution.shared)
 
     def spectrum(shared: Floats) -> Floats:
-        stack = _stiffer(touch.family, float(np.exp(np.clip(shared[FACTOR], *ENDS))), float(shared[count]))
+        factor, stiffer = float(np.exp(np.clip(shared[FACTOR], *ENDS))), float(np.exp(shared[count]))
+        thick = touch.family.configured.thickened(factor)
+        stack = thick.with_cover(lambda layer: replace(layer, young=layer.young * stiffer))
         return np.asarray(layered.gain(stack, nodes.q) * touch.transform(nodes.q, *shared[[SIZE, PROFILE]]))
 
     model = replace(likelihood.model, spectrum=spectrum, free=(*touch.free, count))
@@ -120,16 +118,9 @@ def _modulus(fitted: Fitted, joint: Joint) -> str:
     return _note("Young's modulus", float(deviation), -float(reduced[0, 1] / reduced[0, 0]) * DOUBLED)
 
 
-def _stiffer(family: CoverFamily, factor: float, modulus: float) -> Stack:
-    """The stack with another modulus over the sensing plane, by its logarithm."""
-    stack = family.configured.thickened(factor)
-    layers = [replace(each, young=each.young * float(np.exp(modulus))) for each in stack.layers[: stack.sensing]]
-    return replace(stack, layers=(*layers, *stack.layers[stack.sensing :]))
-
-
 def _note(name: str, deviation: float, change: float) -> str:
     """What presses tell of a parameter whose logarithm they tell to `deviation`, and what it does to the fit."""
-    percent = f"{abs(100 * np.expm1(change)):.2g} % {'thicker' if change > 0 else 'thinner'}"
+    percent = thicker(change)
     if abs(change) < IRRELEVANT:
         return f"the cover's {name} does not matter: twice as much would make it only {percent}"
     effect = f"with twice as much, the cover would be {percent}"
