@@ -120,9 +120,7 @@ class Image:
     sequence: int
     time: float  # s, of the frame's first message
     raw: NDArray[np.float32]  # in `unit`, (R, C) for a grid, (N,) for any other layout; NaN where nothing is known
-    restored: NDArray[
-        np.float32
-    ]  # in `unit`, (rows, columns) of a `geometry.Raster`; NaN where unknown or not felt
+    restored: NDArray[np.float32]  # the same on the cells of a `geometry.Raster`; NaN where unknown or not felt
     flags: NDArray[np.uint8]  # the raw image's shape: of FLAG_BITS
     method: str  # what ran: idle, raw, wiener, rl, nnls, ...
     why: str  # why it was chosen

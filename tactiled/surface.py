@@ -21,10 +21,7 @@ CELLS_A_PITCH = 2  # where the taxels are no grid
 MIN_THICKNESSES = 3.0  # of the cover, along a skin's shorter side, from which on pressure is told from shear there
 MAX_BEYOND_VALUES = 1 << 22  # of a grid: taxels beyond it times its own, as 64 x 64 have
 MAX_CELLS, MAX_VALUES = 4096, 1 << 20  # of a surface with taxels elsewhere: it, and times the taxels
-MAX_LAYOUT_CELLS, MAX_LAYOUT_VALUES = (
-    1 << 14,
-    1 << 22,
-)  # the same that a layout may have: it takes seconds to solve
+MAX_LAYOUT_CELLS, MAX_LAYOUT_VALUES = 1 << 14, 1 << 22  # the same of a layout: it takes seconds to solve
 
 
 def cells_a_pitch(array: Array, refine: int | None) -> int:

@@ -24,11 +24,7 @@ LOSS_KINDS = tuple(each.name for each in fields(Loss))
 METHOD_NAME = "<U16"  # longer than any method's name
 FRAMES_AT_ONCE = 1024  # that are copied to HDF5, or stand in one chunk of Zarr or row group of Parquet
 CHUNK_BYTES = 4 << 20  # of a chunk's largest array, at most: 1024 frames of 32 x 32, 256 of 64 x 64
-LABELS = {
-    "loss_kind": "loss_kinds",
-    "region": "regions",
-    "measure": "region_measures",
-}  # where provenance has them
+LABELS = {"loss_kind": "loss_kinds", "region": "regions", "measure": "region_measures"}  # keys of provenance
 NO_VARIABLE = "This is a netCDF dimension but not a netCDF variable.{:10d}"  # netCDF's name of such a scale
 
 

@@ -237,9 +237,8 @@ class HealthSection(Section):
     """Taxels that do not work, and the noise of those that do."""
 
     dead: Annotated[tuple[Annotated[int, Field(ge=0, le=MAX_TAXELS)], ...], Field(fail_fast=True)]
-    noise_counts: Annotated[
-        tuple[Annotated[Value, Field(ge=0)] | None, ...], Field(fail_fast=True)
-    ]  # standard deviation of each taxel
+    # Standard deviation of each taxel.
+    noise_counts: Annotated[tuple[Annotated[Value, Field(ge=0)] | None, ...], Field(fail_fast=True)]
 
     @classmethod
     def of(cls, dead: tuple[int, ...], noise_counts: Reals, origin: Origin) -> Self:

@@ -64,9 +64,9 @@ def gain(
     (load,) = (f"{key.replace('_', ' ')} {getattr(value, 'name', value)}" for key, value in loads.items())
     new = gain_sections(fit, noise(series.counts), made_from(file, f"gain: {load}"[:200]))
     if plot is not None:
-        from tactiled.charts.gain import draw  # matplotlib takes a second
+        from tactiled.charts.calibration import draw_gain  # matplotlib takes a second
 
-        draw(plot, fit)
+        draw_gain(plot, fit)
     update(out, before, name, one, new)
     typer.echo("\n".join([f"{name}: {load}", *_lines(fit)]))
     typer.echo(f"{out}: written; give it as calibration.file of the sensor, then calibrate the cover")

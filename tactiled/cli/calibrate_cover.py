@@ -66,9 +66,9 @@ def cover(
         places_mm = None if places is None else _places(places)
         fit = fit_touch(recorded, way, size_mm, sphere, places_mm, _unknowns(error or []))
         if plot is not None:
-            from tactiled.charts.cover import draw  # matplotlib takes a second
+            from tactiled.charts.calibration import draw_cover  # matplotlib takes a second
 
-            draw(plot, fit, recorded.stack)
+            draw_cover(plot, fit, recorded.stack)
     section = _section(fit if measured else replace(fit, kernel=None), recorded.stack, file)
     typer.echo("\n".join([f"{name}: cover by {fit.method}", *_lines(fit, recorded.stack, measured)]))
     if fit.objection and not (doubtful or section.kernel):

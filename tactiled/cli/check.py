@@ -48,9 +48,8 @@ def check(
         Console(soft_wrap=True, highlight=False).print(_table(plan, summarise(plan.kernel, plan.array)))
         for warning in plan.warnings:
             typer.echo(f"  {warning.text}")
-    pushed = {
-        each.bus for each in service.config.sensor.values() if each.codec.name == "pushed"
-    }  # into `run` alone
+    sensors = service.config.sensor.values()
+    pushed = {each.bus for each in sensors if each.codec.name == "pushed"}  # into `run` alone
     for name in [each for each in service.config.bus if each not in pushed] if bus else ():
         findings += (more := _bus(service.config, name, seconds))
         _print(more)

@@ -35,10 +35,7 @@ Quaternion: TypeAlias = tuple[float, float, float, float]
 NORM_TOLERANCE = 10e-3  # of the squared norm of a quaternion, as tf2's buffer_core.cpp has it
 EVERY_ADDRESS = frozenset({"", "0.0.0.0", "::"})
 LOOPBACK = frozenset({"localhost", "127.0.0.1", "::1"})
-PUSHED = {
-    "interface": "virtual",
-    "rx_queue_size": 1 << 7,
-}  # for pushed frames; the queue makes a fast program wait
+PUSHED = {"interface": "virtual", "rx_queue_size": 1 << 7}  # for pushed frames: a fast program waits for the queue
 TOKEN = re.compile(r"[A-Za-z0-9!$'()*./:<=>?@\[\]^_`{|}~-]*")  # header, cookie and address carry these unchanged
 
 

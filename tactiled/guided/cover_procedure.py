@@ -70,10 +70,8 @@ class CoverProcedure:
 
     def fit(self, series: FrameSeries, process: FitProcess) -> CoverOutcome:
         """The thickness that explains the frames."""
-        from tactiled.calibrate.cover.recorded_touch import (  # here: the service starts faster
-            RecordedTouch,
-            fit_touch,
-        )
+        # Imported here, so that the service starts faster.
+        from tactiled.calibrate.cover.recorded_touch import RecordedTouch, fit_touch
 
         sensor = self._sensor
         now = sensor.pipeline.calibrator

@@ -116,10 +116,8 @@ class GainProcedure:
         return FrameSeries(np.concatenate(times), np.concatenate(counts))
 
     def _fitted(self, frames: FrameSeries, process: FitProcess) -> "GainFit":
-        from tactiled.calibrate.counts.force_gain import (
-            fit_weight,
-            reach_of,
-        )  # imported where needed: it starts the service faster
+        # Imported here, so that the service starts faster.
+        from tactiled.calibrate.counts.force_gain import fit_weight, reach_of
         from tactiled.calibrate.counts.gain import fit_steps
 
         plan, values = self._sensor.plan, [value for value, _ in self._marks]

@@ -146,11 +146,9 @@ def _frames(
     pauses = np.diff([each.time for each in frames])
     if (longest := max(pauses, default=0.0)) > sensor.stale_after_s:
         typical = float(np.median(pauses))
-        reason = (
-            f"frames come {typical:.2g} s apart"
-            if typical > sensor.stale_after_s
-            else f"one frame came {longest:.2g} s after the one before"
-        )
+        reason = f"one frame came {longest:.2g} s after the one before"
+        if typical > sensor.stale_after_s:
+            reason = f"frames come {typical:.2g} s apart"
         yield Finding(f"{place}.stale_after_s", f"{sensor.stale_after_s:g}", reason)
     if not whole_counts(codec):
         return

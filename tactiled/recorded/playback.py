@@ -26,10 +26,7 @@ from tactiled.recorded.noise import numbers_with_data, recorded_noise, shear_res
 from tactiled.units import FORCE_SCALES
 
 HEADS_AT_ONCE = 4096  # in memory
-PAST_EVERY_FRAMES, MAX_PASTS = (
-    256,
-    512,
-)  # the state of the hysteresis is kept every so many frames, at most so many times
+PAST_EVERY_FRAMES, MAX_PASTS = 256, 512  # at which a state of the hysteresis is kept, and how many are
 MAX_POINTS = 600  # of an overview: a point for each pixel or two of a chart
 
 

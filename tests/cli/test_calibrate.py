@@ -110,7 +110,7 @@ def test_bad_input_is_one_line_and_changes_nothing(bag, tmp_path):
     for arguments, message in (
         ((), "give one of --steps-kpa, --reference and --weight-n"),
         (("--steps-kpa", LISTED, "--weight-n", 4.9), "give one of --steps-kpa, --reference and --weight-n"),
-        (("--steps-kpa", "0,ten"), "--steps-kpa '0,ten': give numbers"),
+        (("--steps-kpa", "0,ten"), "--steps-kpa 0,ten: give numbers"),
         (("--steps-kpa", "0,10,0"), "3 pressures are given, and the recording holds 9"),
         (("--reference", wrong), "wrong.csv: column 'force_kg': unknown unit"),
         (("--weight-n", 4.9), "show no load, or the weight held still"),

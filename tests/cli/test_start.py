@@ -10,7 +10,7 @@ import pytest
 
 import tactiled.cli
 from tactiled.cli.app import SERVICES
-from tactiled.cli.verbs import BENCH_VERBS, CALIBRATE_VERBS, VERBS, CalibrateVerbs
+from tactiled.cli.verbs import BenchVerbs, CalibrateVerbs, Verbs
 from tactiled.config.example import EXAMPLE
 from tests.cli.commands import succeed
 
@@ -18,14 +18,10 @@ HEAVY = ("fastapi", "starlette", "uvicorn", "tactiled.web", "matplotlib", "skima
 SILENT_BUS = "--interface virtual --channel nobody --seconds 0.05"
 TABLES = [
     [
-        (verb, CalibrateVerbs.files.get(verb, file) if "calibrate" in file else file.format(verb), line)
-        for verb, line in (each.split(maxsplit=1) for each in lines.splitlines())
+        (verb, group.files.get(verb, group.file.format(verb)), line)
+        for verb, line in (each.split(maxsplit=1) for each in group.lines.splitlines())
     ]
-    for lines, file in (
-        (VERBS, "tactiled.cli.{}"),
-        (BENCH_VERBS, "tactiled.cli.bench"),
-        (CALIBRATE_VERBS, "tactiled.cli.calibrate"),
-    )
+    for group in (Verbs, BenchVerbs, CalibrateVerbs)
 ]
 
 

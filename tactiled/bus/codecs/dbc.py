@@ -54,9 +54,8 @@ class Dbc(MessageCodec):
         self.ids = frozenset(self._of)
         signals = [each for part in self._parts for each in part.signals]
         scalings = {(float(each.scale), float(each.offset), each.unit or "") for each in signals}
-        self.scaling = (
-            scalings.pop() if len(scalings) == 1 else None
-        )  # factor, offset and unit, if all have the same
+        # Factor, offset and unit, if all have the same.
+        self.scaling = scalings.pop() if len(scalings) == 1 else None
         ranges = {_range(each) for each in signals}
         self.full_scale = min(high for _, high in ranges)
         narrow = all(not each.is_float and each.length <= 16 for each in signals)

@@ -27,9 +27,8 @@ FINGER = 0xB0  # first byte, with the finger: 1 thumb, 2 index, 3 middle, 4 ring
 PALM = 6
 TOTALS = 0xFF  # in place of a row: the forces on whole pads, which end a G20's reply
 TACTILE = 0x09  # the first of an O20's registers of taxels: two a finger
-PAUSE_S = (
-    0.0025  # between requests: a hand on classic CAN takes one at a time (linkerbot, hand/o6/force_sensor.py)
-)
+# Between requests: a hand on classic CAN takes one at a time (linkerbot, hand/o6/force_sensor.py).
+PAUSE_S = 0.0025
 G20_PAUSE_S = 0.015  # linker_hand_g20_can.py
 Piece = tuple[int, int, int]  # finger, first taxel of its matrix in a message, number of them
 

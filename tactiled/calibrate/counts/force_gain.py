@@ -31,9 +31,8 @@ from tactiled.units import N_PER_KPA_MM2
 
 MAX_LOST_SHARE = 0.01  # of a load on dead taxels, and without a known cover on the rim's: so much is not measured
 MAX_BEYOND = 0.1  # of a load that the cover spreads beyond the array
-BEYOND_ERROR = (
-    0.5  # standard error of that share, relative to it: a thickness off by 20 % changes it by 40 to 70 %
-)
+# Standard error of that share, relative to it: a thickness off by 20 % changes it by 40 to 70 %.
+BEYOND_ERROR = 0.5
 RIM_SIGMAS = 2.0  # of the rim's noise: so much is no load
 MIN_PRESSED = 5  # points away from the border
 NEIGHBOURS = 4  # that a dead taxel is held against

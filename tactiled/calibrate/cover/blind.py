@@ -37,9 +37,8 @@ from tactiled.geometry import Array
 from tactiled.restore.noise import NORMAL_95
 
 Skin = tuple[CoverFamily, Array]
-ContactFrames = tuple[
-    Images, int, float
-]  # frames over noise, place of the one that counts, variance of their zero
+# Frames over noise, place of the one that counts, variance of their zero.
+ContactFrames = tuple[Images, int, float]
 
 MIN_OWN_NOISE = 0.25  # of a taxel's noise, that is not shared, at least
 GAIN_ERROR = 0.01  # relative standard deviation of a taxel's gain, at least: cells explain no frame better

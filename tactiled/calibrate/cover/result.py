@@ -48,12 +48,9 @@ def fit_cover(touch: Touch, presses: Sequence[Press], method: Method) -> CoverFi
     )
     if reason:
         return fit
-    objection = edge_objection(joint)
-    return (
-        replace(fit, objection=objection, notes=(objection, *fit.notes))
-        if objection
-        else _explained(fit, fitted, misfits)
-    )
+    if objection := edge_objection(joint):
+        return replace(fit, objection=objection, notes=(objection, *fit.notes))
+    return _explained(fit, fitted, misfits)
 
 
 def _reason(ends: tuple[float, float], depth: float, uncalibrated: bool) -> str:
