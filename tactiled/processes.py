@@ -73,7 +73,7 @@ class SideProcess:
         with self._lock:
             try:
                 outcome, error = self._exchange(function, *arguments)
-            except (EOFError, OSError):  # it had ended: nobody had needed it
+            except (EOFError, OSError):  # it has ended since: nobody needed it
                 self._end()
                 try:
                     outcome, error = self._exchange(function, *arguments)

@@ -16,7 +16,7 @@ AXES = {
     "tip": ("distance from the tip's middle (mm)", "pressure over the response's peak"),
     "edge": ("distance into the load (mm)", "pressure over the load's"),
 }
-SKIRT, SKIRT_END = 2.0, 0.05  # the plot ends at so many times the distance where the response is so low
+SKIRT, SKIRT_END = 2.0, 0.05  # the plot ends at twice the distance at which the response is 0.05 of its peak
 
 
 def draw_gain(path: Path, fit: GainFit) -> None:

@@ -32,7 +32,10 @@ PROFILE_HELP = (
     "for a boss, a dimple (RISE below 0) or an edge round the load."
 )
 COVER, BASE = ("thickness", "young", "poisson"), ("sensor_thickness", "sensor_young", "sensor_poisson")
-REPLACED = {"layer": COVER, "config": (*COVER, "layer", *BASE, "pitch")}  # options, by the one in place of them
+REPLACED = {
+    "layer": COVER,
+    "config": (*COVER, "layer", *BASE, "pitch"),
+}  # options that have no effect beside the one that names them here
 ROUND_FREQUENCIES = (np.array([1, 1.5, 2, 3, 5, 7]) * 10.0 ** np.arange(-6, 4)[:, None]).round(9).ravel()  # 1/mm
 
 

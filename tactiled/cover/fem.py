@@ -19,10 +19,11 @@ from tactiled.errors import PhysicsError
 
 # Chosen on random stacks against the exact gain: `python -m tests.bench cover`.
 FLOOR = 1e-3  # the accuracy holds up to where the gain stays under this
-FOOTPRINT = 0.25  # the footprint's radius, and
-CORE = 0.75  # the radius of the mesh's even core, both times the frequency where the gain ends
-COARSEST = 0.5  # element size over distance from the core's far side, outwards and downwards, and its
-LEVELS = [(COARSEST * 2**-step, COARSEST * 2 ** (-step / 2)) for step in np.arange(0, 5.1, 0.5)]  # refinement
+FOOTPRINT = 0.25  # radius of the footprint, times the frequency where the gain ends
+CORE = 0.75  # radius of the mesh's even core, times the same
+COARSEST = 0.5  # size of an element, over its distance from the core's far side
+# That size outwards and downwards, from level to level finer.
+LEVELS = [(COARSEST * 2**-step, COARSEST * 2 ** (-step / 2)) for step in np.arange(0, 5.1, 0.5)]
 MIN_ELEMENTS = 0.5  # through a layer, over the growth
 START_RADIUS = 10.0  # of the disc, over the stack's thickness
 MAX_RADIUS = 1e5  # of the disc, over the stack's thickness

@@ -17,8 +17,8 @@ from tactiled.live.sensor import Sensor
 from tactiled.restore.noise import detection_threshold
 
 SATURATED_REASON = "saturated"  # begins the reason of such a press
-FREE_FRAMES = 2 * MAX_UNLOADED_FRAMES  # without a press that a look has room for
-RAMP_FRAMES = SETTLING_FRAMES + SMOOTHED_FRAMES  # behind a plateau, that belong to its press still
+FREE_FRAMES = 2 * MAX_UNLOADED_FRAMES  # without a load, around a press: its zero is the mean of them
+RAMP_FRAMES = SETTLING_FRAMES + SMOOTHED_FRAMES  # after a plateau, in which its press ends
 
 
 def pressures(sensor: Sensor, series: FrameSeries) -> tuple[Floats32, Mask]:
@@ -40,7 +40,7 @@ class LivePresses:
     def __init__(self, sensor: Sensor, border: bool) -> None:
         self._sensor, self._border = sensor, border
         self._first = 0  # frame that the next look begins with
-        self._counted = 0  # frame that the next press begins behind
+        self._counted = 0  # the next press begins after this frame
         self.ended: list[Press] = []
         self.waiting = ""  # why no press can be told apart now
 

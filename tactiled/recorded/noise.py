@@ -60,14 +60,14 @@ def measure(
 ) -> dict[str, tuple[float | None, Floats | None]]:
     """Noise and `shear_rest` of the sensors that have frames in a recording, by name, before it is restored.
 
-    Each is None where it is configured, or not known. What is wrong with the recording, or in a codec, whoever
-    restores it meets, too.
+    Each is None where it is configured, or not known. Errors of the recording or a codec are passed over here:
+    whoever restores it meets them again.
     """
     from tactiled.bus.replay import frames  # and python-can, which a service without a bus does not need
 
     sought = {each.name: each for each in plans if each.restores_shear or not each.calibration.noise_kpa}
     firsts: dict[str, list[RawFrame]] = {name: [] for name in sought}
-    open_ = dict.fromkeys(sought, MAX_NOISE_SEARCH)  # frames to be searched yet
+    open_ = dict.fromkeys(sought, MAX_NOISE_SEARCH)  # frames that are still to be searched
     with suppress(Exception):
         messages = islice(recording, MAX_SEARCHED_MESSAGES) if sought else ()
         for name, frame in frames(messages, Router(codecs)):

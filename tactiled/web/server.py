@@ -34,7 +34,7 @@ if TYPE_CHECKING:  # which import python-can: `tactiled serve` needs none
 SWITCH_INTERVAL_S = 5e-4  # between threads; with Python's 5 ms one thread delays images by as much
 LOG_LIMIT = logs.LogLimit()
 MAX_START_S = 10.0
-EVERY_TICK = cast(int, -math.inf)  # of 1 s: uvicorn compares this with the wall clock, which may be set back
+EVERY_TICK = cast(int, -math.inf)  # once a second, although uvicorn goes by the wall clock, which may be set back
 WHY_NOT_BOUND = {
     errno.EADDRINUSE: "in use: choose another port, or 0 for any free one",
     errno.EACCES: "not permitted: choose a port of 1024 or more",

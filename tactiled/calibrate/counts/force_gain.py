@@ -29,7 +29,7 @@ from tactiled.restore.blur import Blur
 from tactiled.restore.noise import NORMAL_95
 from tactiled.units import N_PER_KPA_MM2
 
-MAX_LOST_SHARE = 0.01  # of a load on dead taxels, and without a known cover on the rim's: so much is not measured
+MAX_LOST_SHARE = 0.01  # of a load, that dead taxels, or the rim under an unknown cover, may hide
 MAX_BEYOND = 0.1  # of a load that the cover spreads beyond the array
 # Standard error of that share, relative to it: a thickness off by 20 % changes it by 40 to 70 %.
 BEYOND_ERROR = 0.5

@@ -43,7 +43,7 @@ MIN_EDGES = 2
 # How much of the load is missing beyond the array's border is solved for, too, with the response to all of it at
 # the first look. Readings nearer to the border, in depths of the cover, are not used; MIN_INSIDE of the rest are.
 BORDER_DEPTHS, MIN_INSIDE = 1.0, 0.5
-CELL_PITCHES, CELL_STEPS = 0.5, 6.0  # of the load beyond the border, whichever is larger; of the table's steps
+CELL_PITCHES, CELL_STEPS = 0.5, 6.0  # side of a cell beyond the border: pitches, or steps of the table if larger
 
 
 @dataclass(frozen=True, eq=False)

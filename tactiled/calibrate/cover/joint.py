@@ -22,7 +22,7 @@ GAINED = 14.0  # of chi-squared: 99.7 % of what three free parameters gain by ch
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Joint:
-    """The end of it."""
+    """A cover and all that was not known exactly, as fitted."""
 
     touch: Touch
     likelihood: Likelihood
@@ -31,7 +31,8 @@ class Joint:
     misfit: float  # over what noise and gain errors explain, 1 at least
     interval: tuple[float, float]  # of the factor's logarithm, 95 %
     sized: Solution  # with all but the size as given
-    effective: Solution  # with the sensor as configured, whose factor restores rightly; the simplest that explains
+    # The simplest that explains the presses with the sensor as configured: restoration is right with its factor.
+    effective: Solution
     effective_deviation: float  # of its factor's logarithm
 
     def slope(self, parameter: int) -> float:

@@ -31,9 +31,15 @@ MAX_ROUNDS = 6  # of tables
 SETTLED = 0.2  # of the factor's logarithm: an estimate nearer to its tables' middle is the last
 MODEL_ERROR = 1e-3  # of a press's peak: finite elements' gain and the tables are no better
 MISFIT_RATIO = 3.0  # of a press's misfit over the median's and over 1: something else touched, or it slid
-REFERENCES, NEAR_REFERENCES = 3, 2  # models one after the other that gain errors are proportional to
+REFERENCES, NEAR_REFERENCES = 3, 2  # rounds, in each of which gain errors are proportional to the last one's model
 MAX_APERTURE = np.log(0.5), np.log(2)  # over the configured one
-FREED = {SIZE: 1.0, APERTURE: 0.5, POISSON: 0.15, CURVATURE: 0.3, PROFILE: 2.0}  # deviations, priors refused
+FREED = {
+    SIZE: 1.0,
+    APERTURE: 0.5,
+    POISSON: 0.15,
+    CURVATURE: 0.3,
+    PROFILE: 2.0,
+}  # deviations in place of priors that presses refuse
 STEP = 1e-4  # of finite differences in shared parameters
 
 

@@ -18,28 +18,28 @@ from tactiled.cover.kernel import Kernel
 from tactiled.geometry import Array
 
 # Parts of full scale. The claims (tests/calibrate/upkeep/test_drift.py) are for 5 % of full scale an hour.
-MAX_RATE = 0.10 / 3600  # a second, from the common mode: a load that comes within 10 s loses 0.03 % of full scale
-SHARED_RATE = 0.03 / 60  # a second, of what all free taxels read alike
-SHARED = 0.0015  # that it is at least
-MIN_SHARED = 0.25  # of its median, that each part of the array reads at least
-PARTS, PART_TAXELS = 4, 9  # along each side of the array, and taxels of one at least
-SHARED_SPREAD = 2.0  # times their median, that some read beyond it
-SHARED_TIME_S, OWN_TIME_S = 2.0, 10.0  # in which the zeros follow it, and what each taxel reads besides
-BAND = 0.002  # that a free taxel may read beyond its noise
-FROZEN_RATE = 0.01 / 3600  # a second: what the common mode may miss of a loaded taxel's drift, 20 % of 5 % an hour
-MAX_MISSED = 0.10  # that it may have missed in all
+MAX_RATE = 0.10 / 3600  # a second, of a zero against the common mode: a load that grows over 10 s loses 0.03 %
+SHARED_RATE = 0.03 / 60  # a second, of the motion that all free taxels share
+SHARED = 0.0015  # least median of the free taxels that is followed as shared motion
+MIN_SHARED = 0.25  # of that median: each part of the array reads so much, or there is no shared motion
+PARTS, PART_TAXELS = 4, 9  # parts along each side of the array, and the fewest taxels of a part
+SHARED_SPREAD = 2.0  # times that median: how far beyond it some taxels read
+SHARED_TIME_S, OWN_TIME_S = 2.0, 10.0  # in which zeros follow the shared motion, and what each taxel reads besides
+BAND = 0.002  # how far beyond its noise a free taxel may read
+FROZEN_RATE = 0.01 / 3600  # a second, of a loaded taxel's drift that the common mode misses: 20 % of 5 % an hour
+MAX_MISSED = 0.10  # of such drift in all
 MIN_LEARNERS = 0.9  # of the taxels must be free while sensitivities are learnt: others have no say in their mean
 SMOOTHING_S = 20.0  # of readings before they are compared with the band
 LIFT_S = 60.0
 HELD_S = 900.0  # in which the last rate of the common mode fades, while no taxel is free to show it
-SETTLE_S = 10.0  # that a taxel is free before its zero moves
+SETTLE_S = 10.0  # how long a taxel is free before its zero moves
 MAX_GAP_S = 60.0  # longest gap between two blocks over which zeros move: in a longer one a load may have come
 NOISE_SIGMAS = 5.0  # of a mean: 1024 taxels pass it by chance once in an hour or less
 QUIET_SIGMAS = 9.0  # span of a block's readings; the expected one is 3.5
-ROUNDING_STEPS = 0.6  # by which rounding moves a mean, and twice as much a span
+ROUNDING_STEPS = 0.6  # steps by which rounding moves a mean; a span moves by twice as much
 LIFTED = 0.3  # of its reading some LIFT_S ago: a loaded taxel that reads less may have been unloaded
 MIN_VOTERS = 5  # their median withstands two that are wrong
-ALONE_SIGMAS, ALONE_ERROR = 2.0, BAND / 4  # of its neighbours' sum, by which a taxel drifts alone
+ALONE_SIGMAS, ALONE_ERROR = 2.0, BAND / 4  # standard deviations of the neighbours' sum, and a zero's error in it
 FELT = 1e-3  # of a contact's pressure: what is felt beyond its reach
 
 
@@ -145,10 +145,10 @@ class DriftTracker:
         self._free_s = np.full(size, SETTLE_S, np.float32)
         self.state = np.full(size, DriftState.FREE, np.uint8)
         self.common = 0.0  # counts of the common mode since the reset
-        self._common_rate = 0.0  # counts a second, what all read alike included
-        self._shared_rate = 0.0  # counts a second: running mean of that alone
+        self._common_rate = 0.0  # counts a second, the shared motion included
+        self._shared_rate = 0.0  # counts a second: running mean of the shared motion
         self._shared, self._stepped_s = 0.0, np.inf  # median of the free readings, and since it jumped
-        self._alike = 0.0  # counts that a free taxel may read, as all do
+        self._alike = 0.0  # counts by which the band is wider after a shared motion
         self._time_s: float | None = None
         self._sensitivity.reset()
 
@@ -206,7 +206,7 @@ class DriftTracker:
         part, own_part = min(1.0, seconds / SHARED_TIME_S), min(1.0, seconds / OWN_TIME_S)
         step = np.clip(expected * part + own * own_part, -2 * limit, 2 * limit).astype(np.float32)
         self._zero += step
-        reading -= step  # nor were the readings before it wrong by it: the running mean is of what is left
+        reading -= step  # but not `_smooth`, the mean of what such steps have left
         self._shared -= shared * part
         moved = float(np.clip(shared * part, -limit, limit))
         self.common += moved
@@ -230,7 +230,9 @@ class DriftTracker:
         """Loaded taxels (N,) whose neighbours read less than any load gives them: they drift by themselves."""
         alone = np.zeros_like(loaded)
         if self._neighbourhood is not None and loaded.any():
-            near = readable & (self.state == DriftState.NEAR)  # as far behind their drift as its neighbours
+            near = readable & (
+                self.state == DriftState.NEAR
+            )  # their zeros lag as far behind the drift as its neighbours'
             over = self._smooth - np.median(self._smooth[near if near.any() else readable])
             taxels = self._neighbourhood.peaks(np.flatnonzero(loaded), over)
             error = weight / (2 - weight) * sigma**2 / BLOCK_FRAMES + (ALONE_ERROR * self._full_scale) ** 2

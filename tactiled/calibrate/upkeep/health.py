@@ -20,17 +20,19 @@ from tactiled.geometry import Array
 # `python -m tests.bench health` counts faults found on healthy arrays and the frames until a fault is found.
 NEIGHBOUR_PITCHES = 1.6  # distance of a neighbour: the eight around a taxel of a grid
 OPPOSITE_PITCHES = 0.3  # from a taxel to the middle of two opposite neighbours
-LOADED_SIGMAS, LOADED = 8.0, 0.02  # noise standard deviations, and part of full scale, that a loaded neighbour has
-DEAD_RATIO, WEAK_RATIO = 0.25, 0.5  # of the least that a taxel may read; of what its neighbours do it heals
-CLEAR_SIGMAS, CLEAR = 2.0, 0.001  # noise standard deviations, and part of full scale, of a least that is known
+LOADED_SIGMAS, LOADED = 8.0, 0.02  # of noise, and part of full scale: a taxel that reads more is loaded
+# Of the least that a working taxel reads under a press: with less it is dead, or weak. It heals with WEAK_RATIO of
+# what its neighbours read.
+DEAD_RATIO, WEAK_RATIO = 0.25, 0.5
+CLEAR_SIGMAS, CLEAR = 2.0, 0.001  # of noise, and part of full scale, from which that least is certain
 STUCK_NOISE = 1.0  # steps: rounded noise of less may stand still; alternating between two steps shows 0.82
 NOISY_RATIO = 5.0  # of a taxel's noise to the median of those that are known
-SHARE_ERRORS = 4.0  # standard errors within it of a share that is measured
+SHARE_ERRORS = 4.0  # a share that is measured counts where so many standard errors are smaller
 MIN_POOLED = 5  # blocks that a share is measured from
-MOVING = 3.0  # of the variance of the neighbours' sum in a block: a load moves, which is no noise
+MOVING = 3.0  # times the variance of the neighbours' sum: in a block with more a load moves, and it is left out
 CORRELATED = 2.63  # variance of products of fourth differences over that of independent ones: 70, 56, 28, 8, 1
-QUIET = 0.1, 0.4  # blocks that a quiet one counts as: before a taxel is found noisy, and then
-ZERO_ERROR, ZERO_SIGMAS = 0.002, 2.0  # of full scale, of a zero that drifts, and how many of them count
+QUIET = 0.1, 0.4  # what a quiet block counts against noise: before a taxel is found noisy, and after
+ZERO_ERROR, ZERO_SIGMAS = 0.002, 2.0  # of full scale, of a drifting zero; standard deviations that count
 
 Evidence = Reals | Mask
 

@@ -149,7 +149,7 @@ class Fleet(Intake):
         self.take_token(self._resource(sample), sample.kind == zenoh.SampleKind.PUT)
 
     def _work(self, now: float) -> None:
-        """One turn; states are looked at after other messages than images, and now and then: it costs as much."""
+        """One turn; it looks at the states after any message but images, else every LOOK_S."""
         if self.work() or now >= self._look_at:
             self._look_at = now + LOOK_S
             with self.lock:

@@ -20,10 +20,11 @@ from tactiled.live.watch import STATE_EVENTS
 
 LOG = logging.getLogger(__name__)
 LOOK_S = 0.1  # between two looks at the states, where nothing but images comes
-LINK_S = 2 * LOOK_S  # in which the end of our own link is seen, after that of the tokens
+LINK_S = 2 * LOOK_S  # from the end of tokens until it is seen whether our own link has ended
 FORGET_S = 600.0  # that a sensor without a reader is listed for
 BUILDERS = 2  # sensors that are made at a time, each of another robot
-HISTORY_SHARE, ROBOT_SHARE = 8, 4  # parts of the memory for past images: a new sensor's of what is left, a robot's
+# A new sensor gets an eighth of the memory that is left for past images; a robot has a quarter of all at most.
+HISTORY_SHARE, ROBOT_SHARE = 8, 4
 STRANGERS = 10  # events at once of robots without a sensor, all together
 MAX_ROBOTS, MAX_SENSORS = 256, 512  # that are listed
 

@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 LOG = logging.getLogger(__name__)
 LOOK_S = 0.1  # how often a sensor's state is looked at when no image comes
 RETRY_S = 1.0  # between two attempts to join the network
-MAX_REQUESTS, MAX_WAITING = 4, 64  # that are answered at a time, as a fit takes seconds, and that there may be
+MAX_REQUESTS, MAX_WAITING = 4, 64  # answered at a time, as a fit takes seconds; open at most
 MAX_CONFLICTS = 8  # other publishers that events name
 MAX_ERROR = 300  # characters of an error that are sent
 JSON, BYTES = "application/json", "application/octet-stream"

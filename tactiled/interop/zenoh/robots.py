@@ -11,7 +11,7 @@ MAX_NAMES, MAX_SESSIONS = 64, 4  # of a robot's sensors; of publishers of one na
 MESSAGES_HZ = 20_000.0  # of 64 sensors with three images each at 100 Hz
 BYTES_HZ = 128e6
 EVENTS, EVENTS_HZ = 50, 0.5  # at once, and from then on
-DESCRIBED_S = 30.0  # in which a robot is described that answers
+DESCRIBED_S = 30.0  # a robot that answers is described within this time
 QUIET_S = 60.0  # without a refusal, after which the next one is an event again
 MAX_ASKING = 4  # descriptions of a robot's sensors that are waited for
 

@@ -14,7 +14,7 @@ from tactiled.web.rest.dependencies import NamedSensor, no_frame
 from tactiled.web.rest.openapi import problems
 
 MAX_WAIT_S = 5.0  # for the next frame of a live sensor
-MAX_SEND_S = 0.5  # that the sends of an image are waited for, unless the next one takes its place before
+MAX_SEND_S = 0.5  # how long an image's sends are waited for, unless a newer image comes first
 router = APIRouter(prefix="/api/v1", tags=["frames"])
 
 
