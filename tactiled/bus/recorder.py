@@ -25,6 +25,8 @@ READ_S = 0.05  # how long a read waits: bounds how late a stop, or what the kern
 class ChunkFile(io.RawIOBase):
     """A new file that `flush` makes longer by all that was written since, or, where that fails, by nothing."""
 
+    _fd = -1  # of a file that could not be opened: its finalizer closes it, too
+
     def __init__(self, path: Path) -> None:
         self._path = path
         self._fd = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL | os.O_CLOEXEC, 0o666)
@@ -99,7 +101,7 @@ class ChunkFile(io.RawIOBase):
 
     def close(self) -> None:
         """Flush, check and close."""
-        if self.closed:
+        if self.closed or self._fd < 0:
             return
         try:
             super().close()
