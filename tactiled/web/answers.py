@@ -4,28 +4,22 @@ from collections.abc import Iterable
 from dataclasses import asdict, replace
 from io import BytesIO
 from math import isnan
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from tactiled.bus.socketcan import KINDS
-from tactiled.calibrate.upkeep.drift import DriftState
-from tactiled.calibrate.upkeep.health import RULES, Fault
 from tactiled.contacts.detection import Contact
-from tactiled.cover.summary import summarise
 from tactiled.frames import Image
 from tactiled.live.health import Status
 from tactiled.live.sensor import Sensor
-from tactiled.restore.methods import METHODS, OLD_NAMES
+from tactiled.restore.methods import METHODS
 from tactiled.units import FORCE_UNITS, Unit, if_calibrated
 from tactiled.web import calibration_schemas, schemas
 from tactiled.web.schemas import PressureKind
-from tactiled.web.views import SensorView, ServiceView
+from tactiled.web.views import SensorView
 from tactiled.wire import values_of
-
-if TYPE_CHECKING:  # a server of readers elsewhere imports no python-can
-    from tactiled.live.service import Service
 
 DECIMALS = 4  # of a pressure in JSON: 0.1 Pa
 
@@ -53,14 +47,6 @@ def sensor_state(sensor: SensorView) -> schemas.SensorState:
         references=sensor.references,
         error_kinds={kind: status.errors.get(kind, 0) for kind in KINDS},
     )
-
-
-def health(service: ServiceView) -> schemas.Health:
-    """The service as it is now."""
-    sensors = {name: sensor_state(sensor) for name, sensor in service.sensors.items()}
-    live = all(each.state == "live" for each in sensors.values())
-    faults = service.faults.now
-    return schemas.Health(status="ok" if live and not faults else "degraded", sensors=sensors, faults=faults)
 
 
 def numbers(values: NDArray[np.floating]) -> Any:
@@ -195,22 +181,6 @@ def stream_status(sensor: SensorView, image: Image | None, status: Status) -> sc
     return schemas.StreamStatus(**fields)
 
 
-def kernel(sensor: Sensor) -> schemas.CoverKernel:
-    """A sensor's cover."""
-    kernel, summary = sensor.plan.kernel, summarise(sensor.plan.kernel, sensor.array)
-    return schemas.CoverKernel(
-        model=kernel.model,
-        error_estimate=kernel.error_estimate,
-        r_mm=kernel.r.tolist(),
-        g_per_mm2=kernel.g.tolist(),
-        q_per_mm=kernel.q.tolist(),
-        gain=kernel.gain.tolist(),
-        nyquist_per_mm=summary.nyquist,
-        nyquist_gain=summary.nyquist_gain,
-        smallest_gap_mm=summary.smallest_gap,
-    )
-
-
 def geometry(sensor: SensorView) -> schemas.Geometry:
     """Where a sensor's taxels and surface cells are."""
     array, cells = sensor.array, sensor.cells
@@ -231,17 +201,6 @@ def geometry(sensor: SensorView) -> schemas.Geometry:
             mask=None if cells.felt.all() else cells.felt.tolist(),
         ),
         areas_mm2=None if areas is None else list(areas),
-    )
-
-
-def method(service: "Service", sensor: Sensor) -> schemas.Method:
-    """How a sensor's frames are restored, and would be after a restart."""
-    after_restart = service.state.methods.get(sensor.name, "") if service.state else ""
-    kept = OLD_NAMES.get(after_restart, after_restart)
-    return schemas.Method(
-        method=sensor.method,
-        configured=sensor.plan.method,
-        kept=kept if kept in METHODS else None,
     )
 
 
@@ -268,25 +227,4 @@ def calibration(sensor: Sensor, session: str | None) -> calibration_schemas.Sens
             "noise": noise,
             "noise_kpa": if_calibrated(noise, plan.unit),
         }
-    )
-
-
-def taxel_health(sensor: Sensor) -> calibration_schemas.TaxelHealth:
-    """What a sensor has found out about its taxels."""
-    state, taxel_map = sensor.pipeline.monitor.state, sensor.pipeline.monitor.map
-    faulty = [(int(at), Fault(state.faults[at])) for at in np.flatnonzero(state.faults)]
-    counts = None if state.drift_states is None else np.bincount(state.drift_states, minlength=len(DriftState))
-    return calibration_schemas.TaxelHealth(
-        taxels=sensor.array.size,
-        faults=[
-            calibration_schemas.TaxelFault(
-                taxel=at, fault=fault.name.lower(), reason=RULES[fault].reason, since=float(state.since_s[at])
-            )
-            for at, fault in faulty
-        ],
-        map=(", ".join(taxel_map.wrong) or "as configured") if taxel_map.judged else None,
-        noise_counts=numbers(state.noise_counts),
-        drift_counts=None if state.drift_counts is None else numbers(state.drift_counts),
-        drift_states=None if counts is None else {each.name.lower(): int(counts[each]) for each in DriftState},
-        creep=state.creep,
     )

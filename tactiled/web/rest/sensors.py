@@ -2,10 +2,15 @@
 
 from typing import Annotated
 
+import numpy as np
 from fastapi import APIRouter, Query, Request
 
+from tactiled.calibrate.upkeep.drift import DriftState
+from tactiled.calibrate.upkeep.health import RULES, Fault
+from tactiled.cover.summary import summarise
 from tactiled.errors import BusError
 from tactiled.live.tare import TARE_FRAMES, TARE_S
+from tactiled.restore.methods import METHODS, OLD_NAMES
 from tactiled.web import answers, calibration_schemas, schemas
 from tactiled.web.http.problems import SOON, Problem
 from tactiled.web.rest import drawing
@@ -19,7 +24,10 @@ router = APIRouter(prefix="/api/v1")
 @router.get("/health", tags=["service"])
 def health(service: CurrentService) -> schemas.Health:
     """State of the service and of every sensor, with the age of the last frame, and faults of its parts."""
-    return answers.health(service)
+    sensors = {name: answers.sensor_state(sensor) for name, sensor in service.sensors.items()}
+    live = all(each.state == "live" for each in sensors.values())
+    faults = service.faults.now
+    return schemas.Health(status="ok" if live and not faults else "degraded", sensors=sensors, faults=faults)
 
 
 @router.get("/colormap", tags=["service"])
@@ -51,13 +59,30 @@ def geometry(sensor: AnySensor) -> schemas.Geometry:
 @router.get("/sensors/{name}/kernel", tags=["sensors"], responses=problems(404))
 def kernel(sensor: NamedSensor) -> schemas.CoverKernel:
     """The cover's kernel g(r), its gain G(q), and the smallest resolvable gap."""
-    return answers.kernel(sensor)
+    kernel, summary = sensor.plan.kernel, summarise(sensor.plan.kernel, sensor.array)
+    return schemas.CoverKernel(
+        model=kernel.model,
+        error_estimate=kernel.error_estimate,
+        r_mm=kernel.r.tolist(),
+        g_per_mm2=kernel.g.tolist(),
+        q_per_mm=kernel.q.tolist(),
+        gain=kernel.gain.tolist(),
+        nyquist_per_mm=summary.nyquist,
+        nyquist_gain=summary.nyquist_gain,
+        smallest_gap_mm=summary.smallest_gap,
+    )
 
 
 @router.get("/sensors/{name}/method", tags=["sensors"], responses=problems(404))
 def get_method(sensor: NamedSensor, service: CurrentService) -> schemas.Method:
     """The selected method, the configured one and the kept one."""
-    return answers.method(service, sensor)
+    after_restart = service.state.methods.get(sensor.name, "") if service.state else ""
+    kept = OLD_NAMES.get(after_restart, after_restart)
+    return schemas.Method(
+        method=sensor.method,
+        configured=sensor.plan.method,
+        kept=kept if kept in METHODS else None,
+    )
 
 
 @router.put("/sensors/{name}/method", tags=["sensors"], responses=problems(404, 409, 503, *CONTROL, *JSON_BODY))
@@ -65,7 +90,7 @@ def put_method(sensor: NamedSensor, service: CurrentService, selection: schemas.
     """Select a method: it applies from the next frame on, with `keep` also after a restart."""
     with keeping(service):
         service.set_method(sensor.name, selection.method, selection.keep)
-    return answers.method(service, sensor)
+    return get_method(sensor, service)
 
 
 @router.get("/sensors/{name}/calibration", tags=["sensors"], responses=problems(404))
@@ -100,7 +125,23 @@ def undo_tare(
 @router.get("/sensors/{name}/health", tags=["sensors"], responses=problems(404))
 def taxel_health(sensor: NamedSensor) -> calibration_schemas.TaxelHealth:
     """Taxels found not to work, noise and drift of every taxel, and creep of the load that lies now."""
-    return answers.taxel_health(sensor)
+    state, taxel_map = sensor.pipeline.monitor.state, sensor.pipeline.monitor.map
+    faulty = [(int(at), Fault(state.faults[at])) for at in np.flatnonzero(state.faults)]
+    counts = None if state.drift_states is None else np.bincount(state.drift_states, minlength=len(DriftState))
+    return calibration_schemas.TaxelHealth(
+        taxels=sensor.array.size,
+        faults=[
+            calibration_schemas.TaxelFault(
+                taxel=at, fault=fault.name.lower(), reason=RULES[fault].reason, since=float(state.since_s[at])
+            )
+            for at, fault in faulty
+        ],
+        map=(", ".join(taxel_map.wrong) or "as configured") if taxel_map.judged else None,
+        noise_counts=answers.numbers(state.noise_counts),
+        drift_counts=None if state.drift_counts is None else answers.numbers(state.drift_counts),
+        drift_states=None if counts is None else {each.name.lower(): int(counts[each]) for each in DriftState},
+        creep=state.creep,
+    )
 
 
 @router.post(
