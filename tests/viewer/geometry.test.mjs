@@ -77,9 +77,9 @@ test("force, peak and centre leave out taxels without data, and noise is no cont
   const image = measures();
   measure(Float32Array.from([NaN, 0, 10, 0, 0, 30]), plane.raw, 0.5, image);
   assert.deepEqual([image.force, image.peak, image.peakIndex, image.unknown], [0.16, 30, 5, 1]);
-  assert.deepEqual([image.contact, image.x, image.y], [true, 4, 1.5]);
+  assert.deepEqual([image.contact, image.x, image.y, image.peakX, image.peakY], [true, 4, 1.5, 4, 2]);
   measure(Float32Array.from([0, 0, 10, 0, 0, 30]), plane.raw, 7, image);
-  assert.deepEqual([image.contact, image.x], [false, NaN]);
+  assert.deepEqual([image.contact, image.x, image.peakX], [false, NaN, NaN]);
   measure(new Float32Array(6).fill(NaN), plane.raw, 0, image);
   assert.deepEqual([image.force, image.peak, image.peakIndex], [NaN, NaN, -1]);
   measure(Float32Array.from([NaN, 0, 10, NaN, 0, 30]), plane.raw, 0.5, image);  // a third is unknown

@@ -1,5 +1,7 @@
 """Recordings that play in the page."""
 
+import re
+
 import pytest
 
 from tactiled.config import Server
@@ -24,6 +26,8 @@ RAN_RAW = "document.getElementById('method-used').innerText === 'None, as measur
 # The automatic range, which the field has, is that of the frame that is shown, paused as it is.
 FITTED = """(([peak, high]) => peak < high && high < 2 * peak)(
   [document.getElementById("peak-restored").innerText, document.getElementById("range-high").value].map(Number))"""
+OF_LIVE = "#tare", "#record"
+SAVED = "PNG", "CSV", "Report", "Film"
 BANNER = "document.getElementById('banner').checkVisibility()"
 
 
@@ -66,6 +70,8 @@ def test_a_recording_plays_is_sought_and_stepped_through_and_the_live_view_is_ba
         assert not page.locator(name).is_visible(), name
     assert page.locator("#series-measure").is_visible()
     page.wait(f"{WHEN} === '0:00.0 / 0:01.0'")
+    assert page.get_by_role("button", name="Play", exact=True).get_attribute("title") == "Play (space)"
+    page.get_by_role("img", name=re.compile("raw and restored$")).wait_for()  # no band: that is live
     page.wait(FITTED)
     page.get_by_role("slider", name="Position in the recording").wait_for()
     assert page.text("pill-text", "recorded-name") == ["recording", "grasp.log"]
@@ -150,12 +156,16 @@ def test_details_that_come_late_or_again_and_another_recording_begins_with_the_m
 def test_the_chart_reaches_the_recordings_end_once_the_file_is_read(recorded, open_page):
     url, _ = recorded
     page = open_page(url)
-    looks = []
+    looks, opening = [], []
 
     def answer(route):
         looks.append(route.fetch())
         body = looks[-1].json()
-        if len(looks) == 1:  # as if no more had been read
+        if len(looks) == 1:  # as if nothing had been read
+            body |= {"reading": True, "frames": 0}
+            opening[:] = [page.text("recorded-text"), *(page.locator(each).is_visible() for each in OF_LIVE)]
+            opening.append([page.get_by_role("button", name=each, exact=True).is_disabled() for each in SAVED])
+        if len(looks) == 2:  # as if no more had been read
             body |= {"reading": True, "frames": 10, "duration_s": 0.2, "positions_s": [0, 0.2], "force": [1, 1]}
         route.fulfill(response=looks[-1], json=body)
 
@@ -165,6 +175,8 @@ def test_the_chart_reaches_the_recordings_end_once_the_file_is_read(recorded, op
     page.wait(f"{WHEN} === '0:00.0 / 0:01.0'")
     last = "Number(all[i - 1].text) >= 0.5"  # which tick is last is the chart's width
     page.wait(f"window.drawn.some(({{ text }}, i, all) => text === 'position, s' && {last})")
+    assert opening == [["reading …"], False, False, [True] * 4]
+    assert page.get_by_role("button", name="Film").is_enabled()
 
 
 def test_a_link_keeps_recording_and_position_and_a_loop_begins_again(recorded, open_page):
@@ -213,7 +225,7 @@ def test_a_region_is_drawn_on_a_recording_and_its_highest_force_is_read_seen_and
     address = "/api/v1/recordings/grasp.log"
     (heel,) = ask("GET", f"{url}{address}/frames/30?sensor=palm").json()["regions"]
     assert force == pytest.approx(heel["force"], rel=0.01)
-    page.get_by_role("button", name="Measure the whole recording").click()
+    page.get_by_role("button", name="Find the highest values").click()
     page.wait("document.querySelectorAll('#series tbody tr').length === 2")
     series = ask("GET", f"{url}{address}/series?sensor=palm").json()
     highest = series["regions"][0]["highest"]["force"]

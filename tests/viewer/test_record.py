@@ -14,6 +14,7 @@ from tests.conftest import pressed
 LIST = "document.getElementById('recordings').innerText"
 FOCUSED = "document.activeElement.innerText"
 CLICK = "all => all.forEach(each => each.click())"
+SEQUENCE = "document.getElementById('sequence').innerText"
 ROW = "document.activeElement.closest('li')?.innerText"
 
 
@@ -43,6 +44,9 @@ def test_what_is_recorded_is_what_was_sent_and_replays_as_it_was(recording, rig,
     image = page.pixels("raw")
     page.locator("#record", has_text="Stop").click()
     page.wait(f"/Delete/.test({LIST})")
+    page.locator("#notice").get_by_role("button", name="Open").click()
+    page.wait(f"document.body.dataset.level === 'playback' && {SEQUENCE} === '0'")
+    page.press("l")
     payloads = [
         message.data
         for sequence, at in ((1, 1), (2, 3))
@@ -64,7 +68,7 @@ def test_what_is_recorded_is_what_was_sent_and_replays_as_it_was(recording, rig,
     service.start()
     with running(service, Server(port=0, recordings=folder)) as other:
         replayed = open_page(other)
-        replayed.wait("document.getElementById('sequence').innerText === '1'")
+        replayed.wait(f"{SEQUENCE} === '1'")
         replayed.refreshed()
         assert (replayed.pixels("raw") == image).all()
         replayed.locator("#recordings li", has_text="a.log").wait_for()

@@ -58,6 +58,9 @@ def test_a_region_is_drawn_named_measured_and_deleted(rig, url, open_page):
     page.wait("document.querySelectorAll('#regions tbody tr').length === 2")
     page.keep(lambda: rig.show(pressed(3, force=3000)), "document.querySelector('#regions tr.some')")  # over 5 kPa
     assert page.text("notice") == ["palm: peak in region heel is above 5 kPa"]
+    page.keep(lambda: rig.show(pressed(3, force=0)), "!document.querySelector('#regions tr.some')")
+    assert not page.locator("#notice").is_visible()  # what it said holds no more
+    page.keep(lambda: rig.show(pressed(3, force=3000)), "document.querySelector('#regions tr.some')")
     page.get_by_role("button", name="heel").click()
     page.wait("document.getElementById('region-peak').textContent.endsWith('kPa')")
     link = page.locator("#region-csv").get_attribute("href")

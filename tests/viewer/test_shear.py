@@ -62,6 +62,10 @@ def test_arrows_keep_to_their_frames_and_nothing_is_inaccessible_or_cut_off(rig,
         page.mouse.move(raw["x"] + 0.05 * raw["width"], raw["y"] + 0.1 * raw["height"])
         page.get_by_text(re.compile(r"shear 20000, 0 counts \(taxel r0 c0\)")).wait_for()
         assert page.locator("#probe").evaluate(FITS)
+    page.get_by_role("button", name="Panels").click()  # beside the maps, which are smaller
+    page.resize(1440, 900)
+    assert page.locator("#boxes figcaption").first.evaluate(FITS)
+    page.get_by_role("button", name="Panels").click()
     assert raw["y"] == pytest.approx(page.box("#restored")["y"], abs=0.5)
 
 

@@ -10,6 +10,7 @@ from tests.conftest import pressed
 from tests.viewer.conftest import LEVELS, LIVE, PAINTINGS
 from tests.viewer.measure import SAMPLING, allocated
 
+PILL = "document.getElementById('pill-text').innerText"
 # What a hidden tab does: messages come, but the screen is not refreshed.
 HIDE = """() => {
   const real = window.requestAnimationFrame;
@@ -39,7 +40,7 @@ def test_what_waited_while_the_page_was_hidden_is_not_painted(pair, open_page, w
         page.refreshed(4)
         page.evaluate(HIDE)
         rig.both(pressed(5))
-        page.wait_for_timeout(300 * (1 + attempt))
+        page.wait_for_timeout(300 * (1 + attempt) + (0 if wall else 700))
         page.evaluate("window.show()")
         page.refreshed(4)
         if ((after := page.pixels("map")) == before).all():
@@ -47,10 +48,14 @@ def test_what_waited_while_the_page_was_hidden_is_not_painted(pair, open_page, w
     np.testing.assert_array_equal(after, before)
     while (page.pixels("map") == before).all():  # nothing newer comes
         page.refreshed()
+    if not wall:
+        page.wait(f"/^live, [1-9][0-9.]* s late$/.test({PILL})")
     page.keep(lambda: rig.both(pressed(1)), live)
     while (page.pixels("map") != before).any():
         rig.both(pressed(1))
         page.refreshed()
+    if not wall:
+        page.keep(lambda: rig.both(pressed(1)), f"{PILL} === 'live'")
 
 
 # What is not compiled yet makes an object of every fraction: compile what paints at once, not in half a minute.

@@ -31,6 +31,7 @@ const WALL = "#/wall"; // the address of all sensors; a sensor's own has no bare
 const DEMO_KEY = "tactiled.demo"; // that its hint was closed
 const REPLAYED = "recording"; // the clock of a sensor whose bus is not open
 
+const savers = ["save-png", "save-csv", "save-report", "film"].map((id) => /** @type {HTMLButtonElement} */ (byId(id)));
 const picker = /** @type {HTMLSelectElement} */ (byId("method"));
 const screen = new PageText();
 const tabs = new Tabs((name) => choose(name));
@@ -65,6 +66,7 @@ function read() {
     viewer.write();
   }
   playback.read();
+  for (const each of savers) each.disabled = !viewer.frame && each.ariaPressed !== "true"; // a film that runs can be ended
   byId("tare-undo").hidden = !canUndo(viewer.name) || playback.recording !== "";
 }
 

@@ -2,7 +2,7 @@
 
 import * as api from "../wire/api.js";
 import { CalibrationResult } from "./calibration_result.js";
-import { DEMO, SIZES, tareText, taxelText, WAYS, zoneText } from "./calibration_text.js";
+import { DEMO, DEMO_UNLOADS, SIZES, tareText, taxelText, WAYS, zoneText } from "./calibration_text.js";
 import { byId, element, setText } from "../shell/dom.js";
 import { DisplayRange } from "../maps/display_range.js";
 import { Heatmap } from "../maps/heatmap.js";
@@ -157,6 +157,7 @@ export class CalibrationPage {
     this._isFirstLook = false;
     this._step = step;
     const ways = /** @type {Way[]} */ (Object.keys(WAYS)).filter((each) => WAYS[each].step === step);
+    if (this.isDemo) setText(byId("calibrate-unload"), DEMO_UNLOADS);
     setText(byId("calibrate-question"), STEP_QUESTIONS[step]);
     byId("calibrate-ways").replaceChildren(...ways.map((each, i) => choice(each, this.isDemo ? DEMO[each] : WAYS[each].hint, i === 0)));
     this._showSize();

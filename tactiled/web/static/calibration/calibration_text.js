@@ -54,6 +54,8 @@ export const DEMO = {
   blind: "The demo touches the array for you.",
 };
 
+export const DEMO_UNLOADS = "The demo unloads its array for steps 2 and 3: go on with Next.";
+
 /** What is measured of what presses: the field's label, the request's key, what an empty field means. */
 export const SIZES = {
   tip: { label: "Diameter of its flat end", key: "tip_mm", empty: "Empty: it is fitted, too." },

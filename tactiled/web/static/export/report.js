@@ -43,6 +43,8 @@ export function reportHtml({ title, frame, plane, origin, pictures, contacts, re
     ["", "raw", "restored"],
     [`force${force}`, forceNumber(ofRaw.force, unit), forceNumber(ofRestored.force, unit)],
     [`peak${pressure}`, number(ofRaw.peak), number(ofRestored.peak)],
+    ["peak at x, mm", fixed(ofRaw.peakX, 1), fixed(ofRestored.peakX, 1)],
+    ["peak at y, mm", fixed(ofRaw.peakY, 1), fixed(ofRestored.peakY, 1)],
     ["area, mm²", area(frame.raw, 1, plane.raw), area(frame.restored, frame.noiseGain, plane.restored)],
     ["centre x, mm", fixed(ofRaw.x, 1), fixed(ofRestored.x, 1)],
     ["centre y, mm", fixed(ofRaw.y, 1), fixed(ofRestored.y, 1)],

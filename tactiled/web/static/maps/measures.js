@@ -9,6 +9,8 @@ import { FORCE_SCALES } from "../shell/units.js";
  * @property {number} force over every cell that is known
  * @property {number} peak
  * @property {number} peakIndex -1 where nothing is known
+ * @property {number} peakX mm, of the peak of a contact; NaN without one
+ * @property {number} peakY mm
  * @property {boolean} contact the peak stands clear of the noise
  * @property {number} x mm, pressure-weighted centre of contact; NaN without contact
  * @property {number} y mm
@@ -21,7 +23,7 @@ const SHARE = 0.1; // of the peak from which a cell counts towards the centre
 
 /** @returns {Measures} */
 export function measures() {
-  return { force: NaN, peak: NaN, peakIndex: -1, contact: false, x: NaN, y: NaN, unknown: 0 };
+  return { force: NaN, peak: NaN, peakIndex: -1, peakX: NaN, peakY: NaN, contact: false, x: NaN, y: NaN, unknown: 0 };
 }
 
 /**
@@ -59,8 +61,10 @@ export function measure(values, cells, noise, into, unit = 0) {
   into.peakIndex = peakIndex;
   into.unknown = unknown;
   into.contact = peakIndex >= 0 && peak > CLEAR * noise && peak > 0;
-  into.x = into.y = NaN;
+  into.x = into.y = into.peakX = into.peakY = NaN;
   if (!into.contact) return;
+  into.peakX = x[peakIndex];
+  into.peakY = y[peakIndex];
   const floor = Math.max(SHARE * peak, 3 * noise);
   let weight = 0;
   let mx = 0;

@@ -9,7 +9,7 @@ import { cellAround } from "./geometry.js";
 import { RegionDrawing } from "./region_drawing.js";
 import { RegionLayer } from "./region_layer.js";
 import { cellsIn, measureRegion } from "./region_measure.js";
-import { messageOf, notice } from "../shell/notice.js";
+import { messageOf, notice, withdraw } from "../shell/notice.js";
 import { PlaybackSession } from "../playback/playback_session.js";
 import { withToken } from "../wire/token_dialog.js";
 import { FORCE_UNITS, forceNumber, forceText, pressureText, unitOf, unitOfQuantity } from "../shell/units.js";
@@ -139,9 +139,10 @@ export class Regions {
   _take(sensor, watched) {
     const { session } = this._viewer;
     for (const { name, threshold, exceeded, unit } of session instanceof PlaybackSession ? [] : watched) {
-      if (exceeded && threshold && !(sensor === this._sensor && this._regions.some((each) => each.name === name && each.exceeded))) {
-        notice(`${sensor}: ${threshold.quantity} in region ${name} is above ${threshold.above} ${unitOfQuantity(threshold.quantity, unitOf(unit))}`, true);
-      }
+      if (!threshold) continue;
+      const text = `${sensor}: ${threshold.quantity} in region ${name} is above ${threshold.above} ${unitOfQuantity(threshold.quantity, unitOf(unit))}`;
+      if (!exceeded) withdraw(text);
+      else if (!(sensor === this._sensor && this._regions.some((each) => each.name === name && each.exceeded))) notice(text, true);
     }
     this._sensor = sensor;
     const regions = session instanceof PlaybackSession ? watched.map((each) => ({ ...each, exceeded: false })) : watched;

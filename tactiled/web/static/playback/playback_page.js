@@ -44,6 +44,7 @@ export class PlaybackPage {
     this._position = Number(given.get("at") ?? 0) || 0;
     this._speed = /** @type {HTMLSelectElement} */ (byId("speed"));
     this._loop = /** @type {HTMLInputElement} */ (byId("loop"));
+    this._pause = byId("pause");
     this._scrub = /** @type {HTMLInputElement} */ (byId("scrub"));
     this._speed.replaceChildren(...SPEEDS.map((each) => new Option(`${each}×`, String(each), each === 1, each === 1)));
     this._speed.addEventListener("change", () => this._session?.setSpeed(Number(this._speed.value)));
@@ -189,13 +190,15 @@ export class PlaybackPage {
   /** Bring texts and controls up to date. */
   read() {
     const session = this._session;
-    document.body.classList.toggle("playback", session !== null);
-    byId("recorded").hidden = session === null;
+    document.body.classList.toggle("playback", this.recording !== "");
+    byId("recorded").hidden = this.recording === "";
+    setText(byId("recorded-name"), this.recording);
+    setText(byId("recorded-text"), session ? describe(session.recorded) : "reading …");
     const curve = session && this._series.curve;
     if (curve !== this._curve) this._viewer.refresh();
     this._curve = curve;
     setText(byId("force-name"), curve ? "Whole recording" : "Total force");
-    setText(byId("force-span"), curve ? "restored" : session ? "raw, whole recording" : this._viewer.time.text);
+    setText(byId("force-span"), curve ? "restored" : session ? "whole recording" : this._viewer.time.text);
     byId("forces").setAttribute("aria-label", session ? `${curve ? curve.title : "Total raw force"} over the whole recording` : `Total force, raw and restored, ${this._viewer.time.text}`);
     document.body.classList.toggle("curve", Boolean(curve));
     setText(byId("loss-since"), session ? "since its beginning" : "since the service started");
@@ -207,15 +210,14 @@ export class PlaybackPage {
     this._regions = regions;
     this._series.read(regions);
     const { recorded, position, paused } = session;
-    setText(byId("pause"), paused ? "Play" : "Pause");
+    setText(this._pause, paused ? "Play" : "Pause");
+    this._pause.title = `${paused ? "Play" : "Pause"} (space)`;
     const where = `${positionText(position)} / ${positionText(recorded.duration_s)}`;
     setText(byId("when"), where);
     this._scrub.max = String(recorded.frames - 1);
     this._scrub.value = String(session.number);
     this._scrub.disabled = recorded.frames < 2;
     this._scrub.setAttribute("aria-valuetext", where);
-    setText(byId("recorded-name"), recorded.name);
-    setText(byId("recorded-text"), describe(recorded));
   }
 
   /** Draw the force over the whole recording. @param {number} unit of pressure */

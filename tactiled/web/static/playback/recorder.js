@@ -70,7 +70,7 @@ export class Recorder {
     await withToken(async () => {
       const recording = await api.stopRecording(name);
       const complete = recording.bytes !== null && recording.error === null;
-      notice(complete ? `Recorded: ${name}.` : `${name}: ${describe(recording)}.`, !complete);
+      notice(complete ? `Recorded: ${name}.` : `${name}: ${describe(recording)}.`, !complete, complete ? { name: "Open", run: () => this._play(name) } : null);
     }, "Recording not ended");
   }
 

@@ -20,6 +20,7 @@ import { BAD, BELOW_ZERO, DEAD, FAULTY, MISSING, OUT_OF_RANGE, SATURATED, SHEAR 
 
 const FLAG_NAMES = /** @type {const} */ ([[DEAD, "dead"], [BAD, "bad"], [MISSING, "missing"], [SATURATED, "saturated"], [OUT_OF_RANGE, "beyond the calibrated range"], [FAULTY, "faulty"], [BELOW_ZERO, "far below zero"]]);
 const PILL_TEXTS = { live: "live", down: "bus down", connecting: "connecting", disconnected: "disconnected", silent: "silent", stale: "stale", ended: "end of recording", playback: "recording" };
+const LATE_MS = 1000; // from a frame to the screen: from here on the page says so beside *live*
 const CURRENT_LEVELS = new Set(["live", "ended", "playback"]); // at which what is shown is what it should be
 const HINTS = { flat: "Point at a map to read it, click to pin (rows, columns from 0).", surface: "Drag to turn, or use the arrow keys on a surface." };
 /** @type {Health} */
@@ -31,7 +32,7 @@ export class PageText {
     this.contacts = new ContactTable(byId("contact-list"));
     this._contactsOf = byId("contacts-of");
     this._level = "";
-    this._along = ""; // axis in the section's texts
+    this._along = ""; // axis in the section's texts, and whether it has a band
     this._autoRange = /** @type {HTMLInputElement} */ (byId("range-auto"));
     this._shear = byId("shear-choice");
     this._low = /** @type {HTMLInputElement} */ (byId("range-low"));
@@ -56,7 +57,7 @@ export class PageText {
     const { frame } = viewer;
     this._restoration(session, frame);
     this._held(viewer.held.text);
-    this._health(health, viewer.name, paused, session?.stream.link === "closed");
+    this._health(health, viewer.name, paused, session?.stream.link === "closed", replayed_s === null && pace.painted ? pace.latency : NaN);
     if (replayed_s !== null && health.level === "live" && !paused) setText(byId("pill-text"), `replay ${positionText(replayed_s)}`);
     document.body.classList.toggle("replayed", replayed_s !== null);
     this._shear.hidden = !session?.kinds.includes(SHEAR);
@@ -97,13 +98,15 @@ export class PageText {
     const known = frame && Number.isFinite(lineAt);
     const where = known ? `${ACROSS[along]} ${lengthText(lineAt)}${viewer.probe.pinned ? ", pinned" : ""}` : "";
     setText(byId("section-where"), where);
-    if (this._along === along) return;
-    this._along = along;
+    const banded = !(viewer.session instanceof PlaybackSession);
+    const drawn = `${along} ${banded}`;
+    if (this._along === drawn) return;
+    this._along = drawn;
     const turn = byId("section-turn");
     turn.textContent = along === "x" ? "\u2194" : "\u2195";
     turn.setAttribute("aria-label", `Cross-section along ${along}. Change`);
     const way = along === "x" ? "from left to right" : "from top to bottom";
-    const what = "raw and restored, with a band of two standard deviations";
+    const what = `raw and restored${banded ? ", with a band of two standard deviations" : ""}`;
     byId("section").setAttribute("aria-label", `Pressure along ${along}, ${way}, ${what}`);
   }
 
@@ -118,8 +121,8 @@ export class PageText {
     }
   }
 
-  /** @param {Health} health @param {string} name @param {boolean} paused @param {boolean} closed */
-  _health(health, name, paused, closed) {
+  /** @param {Health} health @param {string} name @param {boolean} paused @param {boolean} closed @param {number} latency_ms NaN where the picture is not live */
+  _health(health, name, paused, closed, latency_ms) {
     if (health.level !== this._level) {
       this._level = health.level;
       const state = (health.title || PILL_TEXTS[health.level]).toLowerCase();
@@ -134,7 +137,10 @@ export class PageText {
     setText(byId("banner-text"), health.text);
     byId("banner-action").hidden = health.level !== "disconnected" || !closed;
     const warnings = Number(document.body.dataset.warnings);
-    const live = paused ? "paused" : warnings ? `live, ${warnings} warning${warnings > 1 ? "s" : ""}` : "live";
+    const isLate = health.level === "live" && !paused && latency_ms > LATE_MS;
+    document.body.classList.toggle("late", isLate);
+    const late = isLate ? `, ${fixed(latency_ms / 1000, 1)} s late` : "";
+    const live = paused ? "paused" : `live${late}${warnings ? `, ${warnings} warning${warnings > 1 ? "s" : ""}` : ""}`;
     const text = health.level === "live" ? live : PILL_TEXTS[health.level];
     setText(byId("pill-text"), text);
     const title = name ? `${name}${health.level === "live" ? "" : ` (${text})`}, tactiled` : "tactiled";
@@ -164,6 +170,7 @@ export class PageText {
     const paused = session?.paused ?? false;
     this._pause.setAttribute("aria-pressed", String(paused));
     setText(this._pause, paused ? "Go live" : "Pause");
+    this._pause.title = `${paused ? "Go live" : "Pause"} (space)`;
     this._scrub.max = String(Math.max(0, count - 1));
     this._scrub.value = String(count - 1 - back);
     this._scrub.disabled = count < 2;

@@ -167,7 +167,7 @@ export class Readings {
 
 /** @param {"raw"|"restored"} kind */
 const measureCells = (kind) =>
-  ({ force: byId(`force-${kind}`), peak: byId(`peak-${kind}`), x: byId(`x-${kind}`), y: byId(`y-${kind}`) });
+  ({ force: byId(`force-${kind}`), peak: byId(`peak-${kind}`), at: byId(`peak-at-${kind}`), x: byId(`x-${kind}`), y: byId(`y-${kind}`) });
 
 /** @param {number} force @param {number} unit of pressure @returns {string} of noise alone */
 const idleForce = (force, unit) => fixed(force, unit ? 0 : 2);
@@ -181,6 +181,7 @@ const idleForce = (force, unit) => fixed(force, unit ? 0 : 2);
 function showMeasures(at, of, unit, idle) {
   setText(at.force, idle ? idleForce(of.force, unit) : forceNumber(of.force, unit));
   setText(at.peak, number(of.peak));
+  setText(at.at, Number.isNaN(of.peakX) ? "\u2013" : `${fixed(of.peakX, 1)}, ${fixed(of.peakY, 1)}`);
   setText(at.x, fixed(of.x, 1));
   setText(at.y, fixed(of.y, 1));
 }

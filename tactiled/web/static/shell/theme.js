@@ -3,13 +3,14 @@
 import { saveSetting, loadSetting } from "./storage.js";
 
 const KEY = "tactiled.theme";
-const NEXT = { system: "light", light: "dark", dark: "system" };
 const TITLE = { system: "as the system", light: "light", dark: "dark" };
+
+const prefersDark = () => matchMedia("(prefers-color-scheme: dark)").matches;
 
 /** @returns {boolean} the page is dark now */
 export function isDark() {
   const { theme: chosen } = document.documentElement.dataset;
-  return chosen ? chosen === "dark" : matchMedia("(prefers-color-scheme: dark)").matches;
+  return chosen ? chosen === "dark" : prefersDark();
 }
 
 /**
@@ -31,7 +32,9 @@ export function theme(button, onChange) {
     onChange();
   };
   const next = () => {
-    current = /** @type {any} */ (NEXT[current]);
+    const systems = prefersDark() ? "dark" : "light";
+    const other = prefersDark() ? "light" : "dark";
+    current = /** @type {const} */ ({ system: other, [other]: systems, [systems]: "system" })[current];
     saveSetting(KEY, current);
     show();
   };
