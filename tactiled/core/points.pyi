@@ -8,4 +8,16 @@ def peaks(
     image: _Array, reach: int, remainder: float, near: float, places: _Places
 ) -> tuple[int, int, float, float, float]: ...
 def responses(down: _Array, across: _Array, at: NDArray[np.int64], first: int, out: _Array) -> None: ...
-def step(gram: _Places, along: _Places, ridge: float, out: _Places) -> None: ...
+def fit(
+    down: _Array,
+    across: _Array,
+    y: _Array,
+    places: _Places,
+    n: int,
+    variance: float,
+    steps: int,
+    limits: _Places,
+    jacobian: _Array,
+    left: _Array,
+    found: _Places,
+) -> tuple[int, int, float, float]: ...

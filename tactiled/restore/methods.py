@@ -60,7 +60,7 @@ class Restorer:
         self._empty = False
         scene.measure_range(y)
         plausible = scene.high < IMPLAUSIBLE_KPA and scene.low > -IMPLAUSIBLE_KPA
-        if not plausible or self._inpainter.weighs or (flags is not None and np.count_nonzero(flags)):
+        if not plausible or self._inpainter.weighs or (flags is not None and flags.any()):
             y = self._inpainter.mask(y, flags)
             if self._inpainter.is_empty():
                 self._empty = True

@@ -15,69 +15,56 @@ SETTLED = 0.05  # pitches: a smaller step is left to the linear one
 MAX_STEP = 0.5  # pitches that one step may move a load
 FORCE_SIGMAS = 4.0  # standard deviations that a load's force must stand out by
 RIDGE = 1e-6  # on every square, so that what no frame can tell apart is only very uncertain
+OWN_WIDTH, OWN_SHARE = 0.03, 0.4  # square pitches, and of the common width: what a load's own may differ by
 
 
 class Fit(NamedTuple):
-    """Loads and the normal equations about them."""
+    """Loads (n,) at their last places, and what a linear last step from there changes."""
 
+    steps: int
     places: Floats  # (n, 2), pitches
-    force: Floats
-    scale: Floats  # (4 n,) of the unknowns: n times force, row, column and width
-    residual: float  # of the frame, squared
-    normal: Floats  # of the unknowns
-    right: Floats
+    force: Floats  # kPa square pitches
+    change: Floats  # of the forces
+    shift: Floats  # (n, 2) of the places
+    width: Floats  # square pitches: each load's own, a variance along any axis
+    variance: Floats  # (n, 3) of force and place for a noise of 1
+    own: Floats  # square pitches: widths held near no other
+    own_variance: Floats  # of these, for a noise of 1
+    common_width: float  # square pitches
+    common_variance: float  # of that, for a noise of 1
+    left: Image  # (N,) of the frame, valid until the next fit
 
 
 class Fitter:
-    """Fits loads to frames (R, C) of a `noise` (kPa); `jacobian` and `residual` are those of the last fit."""
+    """Fits loads to frames (R, C) of a `noise` (kPa)."""
 
     def __init__(self, response: PointResponse, noise: float) -> None:
-        self._response, self._noise = response, noise
-        rows, columns = self.shape = response.shape
-        self.jacobian = np.empty((4 * MAX_POINTS, rows * columns), np.float32)
-        self.residual = np.empty(rows * columns, np.float32)
+        self._response, self.shape = response, response.shape
+        self._variance = noise**2
+        limits = FORCE_SIGMAS * noise, SETTLED, MAX_STEP, RIDGE, OWN_WIDTH, OWN_SHARE
+        self._limits = np.array(limits)
+        rows, columns = response.shape
+        self._jacobian = np.empty((4 * MAX_POINTS, rows * columns), np.float32)
+        self._left = np.empty(rows * columns, np.float32)
 
-    def __call__(self, y: Image, places: Floats) -> tuple[int, Fit | None]:
-        """Give the steps made from `places` (n, 2), and the fit that they led to.
+    def __call__(self, y: Image, places: Floats) -> Fit | None:
+        """Give the fit that `places` (n, 2) lead to.
 
-        Loads of too little force are left out; one that is of so little at the last places ends the fit without a
-        result.
+        Loads of too little force are left out; None where one is of so little at the last places.
         """
-        for done in range(1, MAX_STEPS + 1):
-            n, places = len(places), self._response.tabulated(places)
-            J, found = self.jacobian[: 3 * n], np.empty((4, n))
-            self._response.jacobian(places, J.reshape(3, n, -1))
-            points.step(np.asarray(J @ J.T, float), np.asarray(J @ y, float), RIDGE, found)
-            force, shown, moves = found[0], found[1], found[2:].T
-            clear = force * shown > FORCE_SIGMAS * self._noise
-            if not clear.any():
-                break
-            if not clear.all():
-                places = places[clear]
-            elif done == MAX_STEPS or np.abs(moves).max() < SETTLED:
-                return done, self._finished(y, places, force)
-            else:
-                places = self.within(places + moves.clip(-MAX_STEP, MAX_STEP))
-        return done, None
-
-    def _finished(self, y: Image, places: Floats, force: Floats) -> Fit:
-        """Give the fit at the last places, with what widths would do."""
-        n = len(force)
-        self._response.jacobian(places, self.jacobian[3 * n : 4 * n].reshape(1, n, -1), first=3)
-        np.subtract(y, force.astype(np.float32) @ self.jacobian[:n], out=self.residual)
-        residual = float(self.residual.dot(self.residual))
-        J, scale = self.jacobian[: 4 * n], np.concatenate([np.ones(n), force, force, force])
-        normal, right = scale[:, None] * scale * (J @ J.T), scale * (J @ self.residual)
-        return Fit(places, force, scale, residual, ridged(normal), right)
+        at, found = np.empty((MAX_POINTS, 2)), np.empty((10, MAX_POINTS))
+        at[: len(places)] = places
+        tables = self._response.down, self._response.across
+        steps, n, width, variance = points.fit(
+            *tables, y, at, len(places), self._variance, MAX_STEPS, self._limits, self._jacobian, self._left, found
+        )
+        if not n:
+            return None
+        force, change, _, _, own_width, own, own_variance = found[:7, :n]
+        others = found[2:4, :n].T, np.maximum(own_width, 0), found[7:, :n].T, own, own_variance
+        return Fit(steps, at[:n], force, change, *others, max(width, 0.0), variance, self._left)
 
     def within(self, places: Floats) -> Floats:
         """Give places no further out than half a pitch from the taxels."""
         rows, columns = self.shape
         return places.clip(-0.5, (rows - 0.5, columns - 0.5))
-
-
-def ridged(normal: Floats) -> Floats:
-    """Normal equations that can be solved, whatever the frame tells apart."""
-    firm = normal.copy()
-    firm.flat[:: len(normal) + 1] *= 1 + RIDGE
-    return firm

@@ -30,7 +30,6 @@ class PointImage:
     def __init__(self, shape: tuple[int, ...], refine: int, noise: float) -> None:
         self._refine, self._noise = refine, noise
         self.image = np.empty(shape, np.float32)
-        self.noise_gain = 0.0
         rows, columns = shape
         self._edges = np.concatenate([np.arange(rows + 1.0), np.arange(columns + 1.0)])
         self._edges[[0, rows, rows + 1, -1]] = -FAR, FAR, -FAR, FAR  # what lies outside is in the last cells
@@ -48,10 +47,10 @@ class PointImage:
         share = self._shares[0]
         force = loads.force[:, None] * self._refine**2
         np.matmul((force * share[:, self._rows]).T, share[:, self._columns], out=self.image, casting="same_kind")
-        self.noise_gain = self._gain()
 
-    def _gain(self) -> float:
-        """Give the image's noise over the frame's: it moves forces, places and width, and they the image.
+    @property
+    def noise_gain(self) -> float:
+        """Noise of the image over the frame's: it moves forces, places and width, and they the image.
 
         A width that is narrow for its error has slopes that go on for less than that error: what it moves is no
         more than what shares p of a load may be out by, p (1 - p), as in `deviation`.

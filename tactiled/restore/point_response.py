@@ -14,7 +14,8 @@ class PointResponse:
     """Responses as sums of products of a column's and a row's part, each tabulated along its axis.
 
     Made from a stencil of cells `refine` times finer than the pitch: such a cell is the load. Places are counted
-    in pitches from the first taxel; a unit load is 1 kPa over a square of one pitch.
+    in pitches from the first taxel; a unit load is 1 kPa over a square of one pitch. `down` and `across` are the
+    tables, as of `core.points.responses`.
     """
 
     def __init__(self, stencil: Floats, shape: tuple[int, int], refine: int) -> None:
@@ -22,26 +23,14 @@ class PointResponse:
         U, s, Vt = np.linalg.svd(stencil * refine**2, full_matrices=False)
         parts = max(1, int(np.count_nonzero(s > RANK_TOLERANCE * s[0])))
         along = U[:, :parts] * s[:parts], Vt[:parts].T
-        self._down, self._across = (_table(part, n, refine) for part, n in zip(along, shape, strict=True))
-
-    def tabulated(self, places: Floats) -> Floats:
-        """Give the nearest places (n, 2) that are in the tables."""
-        return np.asarray((places * PHASES).round() / PHASES)
-
-    def jacobian(self, places: Floats, out: Image, first: int = 0) -> None:
-        """Fill out (k, n, R C) with k of four kinds of frames of unit loads at tabulated places (n, 2).
-
-        The kinds are the frames themselves, their slopes down and across, and what they gain for each square pitch
-        of the load's variance along any axis: half the sum of the second derivatives. `first` is the first filled.
-        """
-        points.responses(self._down, self._across, (places * PHASES).round().astype(np.int64), first, out)
+        self.down, self.across = (_table(part, n, refine) for part, n in zip(along, shape, strict=True))
 
     def sensitivity(self) -> float:
         """Share of a load's frame that another of any force does not give, a quarter of a pitch across a taxel."""
         middle = [(n - 1) // 2 for n in self.shape]
         places = np.add.outer([-0.125, 0.125], middle)
         out = np.empty((1, 2, self.shape[0] * self.shape[1]), np.float32)
-        self.jacobian(places, out)
+        points.responses(self.down, self.across, (places * PHASES).round().astype(np.int64), 0, out)
         first, second = out[0].astype(float)
         across = second - first * (first @ second) / (first @ first)
         return float(np.linalg.norm(across) / np.linalg.norm(second))

@@ -5,7 +5,6 @@ nothing but noise behind, and all of it is certain.
 """
 
 from math import sqrt
-from typing import NamedTuple
 
 import numpy as np
 
@@ -27,7 +26,6 @@ REACH = 4.0  # standard deviations of two loads together: nearer ones are neighb
 MAX_NEIGHBOURS = 1.2  # that touch, in the mean; a pair has one, a chain of three 4/3: that is one contact
 RESIDUAL_SIGMAS = 3.0  # standard deviations of the residual's square that noise may stray by
 NEIGHBOURHOOD_SIGMAS = 4.0  # the same about any one load: of so few taxels it strays further
-OWN_WIDTH, OWN_SHARE = 0.03, 0.4  # square pitches, and of the common width: what a load's own may differ by
 MAX_WIDTH = 0.12  # square pitches: wider loads change their frame by more than in proportion
 MAX_WIDTH_ERROR = 0.1  # square pitches, standard deviation of the common width
 PAIR_WIDTH = 0.02  # square pitches of width, in the mean of both axes: two loads half a pitch apart have more
@@ -39,21 +37,6 @@ MAX_PLACE_ERROR = 0.5  # pitches
 NOWHERE = np.zeros((0, 2))
 NO_GRID = "points need a grid of three taxels a side at least: restored by nnls"
 TOO_THIN = "the cover is too thin to locate loads within a taxel: restored by nnls"
-
-
-class Estimate(NamedTuple):
-    """The last step of a fit's unknowns, with what is left and how certain it is."""
-
-    step: Floats  # (4 n,) of n times force, row, column and width
-    force: Floats
-    shift: Floats  # (n, 2) pitches
-    width: Floats  # (n,) square pitches: each load's own, a variance along any axis
-    own: Floats  # (n,) square pitches: the same, held near no other
-    own_variance: Floats  # of these, for a noise of 1
-    common_width: float  # square pitches
-    residual: float  # of the frame, squared
-    variance: Floats  # (n, 3) of force and place for a noise of 1
-    common_variance: float  # of the loads' common width, for a noise of 1
 
 
 class Points:
@@ -70,7 +53,6 @@ class Points:
             self.unavailable = TOO_THIN
         elif response is not None:
             self._fitter = Fitter(response, scene.noise)
-        self._unexplained = np.empty(scene.size, np.float32)
         surface = blur.surface_shape if self._fitter else (1, 1)  # where nothing is fitted nothing is drawn
         self._refine = k = blur.refine
         self._widest = spread_cells * k**2  # cells
@@ -91,9 +73,9 @@ class Points:
         places = self._peaks(image)
         if not len(places) or self._scene.cut():
             return 0
-        done, fit = self._fitter(y, places)
+        fit = self._fitter(y, places)
         self.loads = self._accepted(self._fitter, fit, y) if fit else None
-        return done if self.loads else 0
+        return fit.steps if fit and self.loads else 0
 
     def _peaks(self, image: Image) -> Floats:
         """Places (n, 2) of an image's peaks, in pitches; none if they are too many or too wide."""
@@ -106,32 +88,34 @@ class Points:
 
     def _accepted(self, fitter: Fitter, fit: Fit, y: Image) -> PointLoads | None:
         """Draw and give what stands of a fit; None where anything is uncertain."""
-        noise, last = self._scene.noise**2, _estimate(fit, self._scene.noise**2)
-        free = max(fitter.residual.size - 4 * len(fit.force), 1)
-        if last.residual > noise * (free + RESIDUAL_SIGMAS * sqrt(2 * free)) + self._model:
+        noise, free = self._scene.noise**2, max(fit.left.size - 4 * len(fit.force), 1)
+        residual = float(fit.left.dot(fit.left))
+        if residual > noise * (free + RESIDUAL_SIGMAS * sqrt(2 * free)) + self._model:
             return None
-        if np.abs(last.shift).max() > MAX_LAST_SHIFT or (np.abs(last.force) > MAX_LAST_STRETCH * fit.force).any():
+        variance = max(residual / free, noise)
+        errors = fit.variance * variance
+        if fit.common_width > MAX_WIDTH or fit.common_variance * variance > MAX_WIDTH_ERROR**2:
             return None
-        variance = max(last.residual / free, noise)
-        errors = last.variance * variance
-        too_uncertain = (errors[:, 0] > (MAX_FORCE_ERROR * fit.force) ** 2).any()
-        if too_uncertain or errors[:, 1:].max() > MAX_PLACE_ERROR**2:
-            return None
-        if last.common_width > MAX_WIDTH or last.common_variance * variance > MAX_WIDTH_ERROR**2:
-            return None
+        for force, change, shift, error in zip(
+            *(each.tolist() for each in (fit.force, fit.change, fit.shift, errors)), strict=True
+        ):
+            if abs(change) > MAX_LAST_STRETCH * force or max(map(abs, shift)) > MAX_LAST_SHIFT:
+                return None
+            if error[0] > (MAX_FORCE_ERROR * force) ** 2 or max(error[1:]) > MAX_PLACE_ERROR**2:
+                return None
         loads = PointLoads(
-            places=fitter.within(fit.places + last.shift),
-            force=np.maximum(fit.force + last.force, 0),
-            spread=np.asarray(np.sqrt(np.maximum(errors[:, 1:], MIN_PLACE_ERROR**2) + last.width[:, None])),
+            places=fitter.within(fit.places + fit.shift),
+            force=np.maximum(fit.force + fit.change, 0),
+            spread=np.sqrt(np.maximum(errors[:, 1:], MIN_PLACE_ERROR**2) + fit.width[:, None]),
             variance=errors,
-            width=last.common_variance * variance,
+            width=fit.common_variance * variance,
             noise=noise / variance,
         )
         crowded = _neighbours(loads.places, REACH**2 * (loads.spread**2).mean(axis=1)) > MAX_NEIGHBOURS
-        if crowded or self._leaves_signal(fitter, fit, last.step):
+        if crowded or self._leaves_signal(fitter, fit):
             return None
         self.drawing(loads)
-        widest = float((last.own + np.sqrt(last.own_variance * variance)).max())
+        widest = float((fit.own + np.sqrt(fit.own_variance * variance)).max())
         return None if widest > PAIR_WIDTH and self._raw_is_near(y) else loads
 
     def _raw_is_near(self, y: Image) -> bool:
@@ -142,46 +126,15 @@ class Points:
         both = float(np.einsum("ij,ikjl->", y.reshape(rows, columns), image.reshape(rows, k, columns, k)))
         return k**2 * float(y.dot(y)) - 2 * both + square < RAW_ERROR**2 * square
 
-    def _leaves_signal(self, fitter: Fitter, fit: Fit, last: Floats) -> bool:
+    def _leaves_signal(self, fitter: Fitter, fit: Fit) -> bool:
         """Whether a fit leaves more than noise about one of its loads: all of a frame would hide that."""
-        explained = (last * fit.scale).astype(np.float32) @ fitter.jacobian[: len(last)]
-        np.subtract(fitter.residual, explained, out=self._unexplained)
-        unexplained = self._unexplained.reshape(fitter.shape)
-        noise = self._scene.noise**2
-        about = (_around(unexplained, each) for each in fit.places)
+        left, noise = fit.left.reshape(fitter.shape), self._scene.noise**2
+        about = (_around(left, each) for each in fit.places)
         return any(
             float(np.vdot(each, each))
             > noise * (each.size + NEIGHBOURHOOD_SIGMAS * sqrt(2 * each.size)) + self._model
             for each in about
         )
-
-
-def _estimate(fit: Fit, noise: float) -> Estimate:
-    """The last step of all unknowns of a fit, each load's width held near the common one."""
-    n = len(fit.force)
-    inverse = np.linalg.inv(fit.normal)
-    own, own_variance = inverse[3 * n :] @ fit.right, np.maximum(inverse.diagonal()[3 * n :], 1e-30)
-    weight = 1 / own_variance
-    common = max(float(own @ weight) / float(weight.sum()), 0.0)
-    firm = noise / (OWN_WIDTH + OWN_SHARE * common) ** 2
-    stiff, pull = fit.normal.copy(), fit.right.copy()
-    stiff.flat[3 * n * (4 * n + 1) :: 4 * n + 1] += firm
-    pull[3 * n :] += firm * common
-    inverse = np.linalg.inv(stiff)
-    last = inverse @ pull
-    force, row, column, width = last.reshape(4, n)
-    return Estimate(
-        step=last,
-        force=force,
-        shift=np.stack([row, column], axis=1),
-        width=np.maximum(width, 0),
-        own=own,
-        own_variance=own_variance,
-        common_width=common,
-        residual=fit.residual + float(last @ (fit.normal @ last - 2 * fit.right)),
-        variance=np.asarray(inverse.diagonal()[: 3 * n].reshape(3, n).T),
-        common_variance=1 / float(weight.sum()),
-    )
 
 
 def _neighbours(places: Floats, reach: Floats) -> float:

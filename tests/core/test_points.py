@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tactiled.core import points
+from tactiled.restore import point_response
 
 
 def peeled(image, reach, remainder, most):
@@ -66,23 +67,89 @@ def test_responses_are_sums_of_products_of_the_tables_at_each_distance(at, seed)
     np.testing.assert_array_equal(last[0], out[3])
 
 
-@given(st.integers(1, 7), st.sampled_from([0, 1e-6, 0.1]), st.integers(0, 9))
-def test_a_step_is_of_the_normal_equations(n, ridge, seed):
+LIMITS = 0.5, 0.05, 0.5, 1e-6, 0.03, 0.4
+
+
+def fitted(response, y, places, variance, steps):
+    """A fit by the definition: steps made, places, what is left, `found`, the common width and its variance."""
+    clear, settled, farthest, ridge, own_width, own_share = LIMITS
+    far = np.array([ROWS, COLUMNS]) - 0.5
+
+    def drawn(places):
+        out = np.empty((4, len(places), y.size), np.float32)
+        at = (places * point_response.PHASES).round().astype(int)
+        points.responses(response.down, response.across, at, 0, out)
+        return out.astype(float)
+
+    def firm(squares):
+        return squares + ridge * np.diag(squares.diagonal())
+
+    for done in range(1, steps + 1):
+        places = (places.clip(-0.5, far) * point_response.PHASES).round() / point_response.PHASES
+        n = len(places)
+        J = drawn(places)[:3].reshape(3 * n, -1)
+        force = np.linalg.solve(firm(J[:n] @ J[:n].T), J[:n] @ y)
+        moves = np.linalg.solve(firm(J @ J.T), J @ (y - J[:n].T @ force))[n:].reshape(2, n) / force
+        shown = force * np.linalg.norm(J[:n], axis=1) > clear
+        if not shown.all():
+            places = places[shown]
+            if not shown.any() or done == steps:
+                return done, None
+        elif done == steps or abs(moves).max() < settled:
+            break
+        else:
+            places = places + moves.T.clip(-farthest, farthest)
+    J = drawn(places).reshape(4 * n, -1)
+    left = y - J[:n].T @ force
+    J *= np.concatenate([np.ones(n), force, force, force])[:, None]
+    normal, right = firm(J @ J.T), J @ left
+    inverse = np.linalg.inv(normal)
+    own, own_variance = inverse[3 * n :] @ right, inverse.diagonal()[3 * n :]
+    common_variance = 1 / (1 / own_variance).sum()
+    width = max((own / own_variance).sum() * common_variance, 0)
+    held = np.repeat([0, variance / (own_width + own_share * width) ** 2], [3 * n, n])
+    inverse = np.linalg.inv(normal + np.diag(held))
+    last = inverse @ (right + held * width)
+    found = [force, *last.reshape(4, n), own, own_variance, *inverse.diagonal()[: 3 * n].reshape(3, n)]
+    return done, (places, left - J.T @ last, found, width, common_variance)
+
+
+def gaussian(n):
+    """A response along an axis, of eight cells a pitch."""
+    return np.exp(-((np.arange(8 * (2 * n - 1)) - 4 * (2 * n - 1) + 0.5) ** 2) / 64)
+
+
+@given(st.integers(1, 3), st.integers(1, 3), st.sampled_from([0.0, 0.3, 5.0]), st.integers(0, 40))
+def test_a_fit_is_made_of_steps_by_normal_equations(n, steps, faintest, seed):
     random = np.random.default_rng(seed)
-    J, y = random.normal(size=(3 * n, 40)), random.normal(size=40)
-    gram, along, out = J @ J.T, J @ y, np.empty((4, n))
-    points.step(gram, along, ridge, out)
-    firm = gram + ridge * np.diag(gram.diagonal())
-    force = np.linalg.solve(firm[:n, :n], along[:n])
-    moves = np.linalg.solve(firm, J @ (y - J[:n].T @ force))[n:].reshape(2, n) / force
-    np.testing.assert_allclose(out, [force, np.linalg.norm(J[:n], axis=1), *moves], rtol=1e-6, atol=1e-8)
+    response = point_response.PointResponse(np.outer(gaussian(ROWS), gaussian(COLUMNS)), (ROWS, COLUMNS), 8)
+    true = np.array([[0.3, 0.6], [3.7, 2.2], [1.2, 5.8]])[:n]
+    clean = np.empty((1, n, ROWS * COLUMNS), np.float32)
+    points.responses(response.down, response.across, (true * 64).astype(int), 0, clean)
+    y = np.float32([faintest, 2.0, 4.0][:n] @ clean[0] + random.normal(0, 0.02, ROWS * COLUMNS))
+    places, found = np.full((4, 2), np.nan), np.empty((10, 4))
+    places[:n] = start = true + random.uniform(-0.5, 0.5, true.shape)
+    jacobian, left = np.empty((16, y.size), np.float32), np.empty_like(y)
+    tables, limits = (response.down, response.across), np.array(LIMITS)
+    done, count, *common = points.fit(*tables, y, places, n, 4e-4, steps, limits, jacobian, left, found)
+    expected_steps, expected = fitted(response, y.astype(float), start, 4e-4, steps)
+    assert (done, count > 0) == (expected_steps, expected is not None)
+    if expected:
+        assert count == len(expected[0])
+        np.testing.assert_allclose(places[:count], expected[0], atol=1e-12)
+        np.testing.assert_allclose(left, expected[1], rtol=1e-3, atol=1e-3)
+        np.testing.assert_allclose(found[:, :count], expected[2], rtol=2e-3, atol=1e-3)
+        np.testing.assert_allclose(common, expected[3:], rtol=2e-3, atol=1e-4)
 
 
 def test_shapes_that_do_not_fit_are_refused():
     down, across = (table(np.random.default_rng(0), n) for n in (ROWS, COLUMNS))
     out, image = np.empty((3, 2, ROWS * COLUMNS), np.float32), np.ones((4, 4), np.float32)
-    at, system, places = np.zeros((2, 2), int), np.eye(6), np.empty((7, 2))
+    at, places, y = np.zeros((2, 2), int), np.zeros((7, 2)), np.ones(ROWS * COLUMNS, np.float32)
+    memory = np.array(LIMITS), np.empty((28, y.size), np.float32), np.empty_like(y), np.empty((10, 7))
+    fit = y, places, 2, 1.0, 3, *memory
     points.responses(down, across, at, 0, out)
+    points.fit(down, across, *fit)
     for wrong in (
         lambda: points.peaks(image.T[:, ::2], 1, 0.1, 2.0, places),
         lambda: points.peaks(image, 1, 0.1, 2.0, np.empty((7, 3))),
@@ -91,8 +158,10 @@ def test_shapes_that_do_not_fit_are_refused():
         lambda: points.responses(down, across, at, 2, out),
         lambda: points.responses(down, across, at + PHASES * ROWS + 1, 0, out),
         lambda: points.responses(down, across, at - PHASES - 1, 0, out),
-        lambda: points.step(system, np.ones(5), 0.0, np.empty((4, 2))),
-        lambda: points.step(system, np.ones(6), 0.0, np.empty((4, 2))[:, :1].copy()),
+        lambda: points.fit(down, across, *fit[:-1], np.empty((9, 7))),
+        lambda: points.fit(down, across, fit[0][1:], *fit[1:]),
+        lambda: points.fit(down, across, *fit[:2], 8, *fit[3:]),
+        lambda: points.fit(down[:, :, :2].copy(), across, *fit),
     ):
         with pytest.raises(ValueError, match=r"fit|off the table"):
             wrong()

@@ -6,10 +6,12 @@ from itertools import product
 import numpy as np
 import pytest
 
+from tactiled.core import points
 from tactiled.cover.operator import matrix
 from tactiled.restore.methods import make
 from tactiled.restore.nonnegative import Nonnegative
 from tactiled.restore.point_image import PointImage, PointLoads
+from tactiled.restore.point_response import PHASES
 from tactiled.restore.points import Points
 from tactiled.restore.scene import Scene
 from tactiled.restore.wiener import Wiener
@@ -171,7 +173,9 @@ def test_slopes_are_the_responses_own():
     step = 1 / 32
     moves = np.array([(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)])
     out = np.empty((4, len(moves), SHAPE[0] * SHAPE[1]), np.float32)
-    blur_of(1.0).response.jacobian(np.array([7.21, 8.83]) + step * moves, out)
+    response = blur_of(1.0).response
+    at = (PHASES * (np.array([7.21, 8.83]) + step * moves)).round().astype(int)
+    points.responses(response.down, response.across, at, 0, out)
     value, row, column, wider = out[:, 0]
     _, below, above, right, before = out[0]
     for slope, more, less in ((row, below, above), (column, right, before)):
