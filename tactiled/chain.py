@@ -101,10 +101,10 @@ class Chain:
         Of a `frame` with shear whose scale is known, the tangential load is restored under that image, and then
         the pressures less what it adds to them, but for the raw image and on skins that are not wide enough.
         """
-        restorer, below = self.restorer(method), flags & BELOW_ZERO
-        if np.count_nonzero(below):
-            raw, flags = np.where(below > 0, np.float32(0), raw), flags & ~np.uint8(BELOW_ZERO)
-        done, self._load = restorer(raw, flags, expired), None
+        restorer, flagged = self.restorer(method), bool(np.count_nonzero(flags))
+        if flagged and (flags & BELOW_ZERO).any():
+            raw, flags = np.where(flags & BELOW_ZERO > 0, np.float32(0), raw), flags & ~np.uint8(BELOW_ZERO)
+        done, self._load = restorer(raw, flags if flagged else None, expired), None
         sheared = None if frame is None else self._sheared(frame, raw, flags)
         if self._traction and sheared is not None:
             noise = self.noise * np.array([1, self._shear_noise, self._shear_noise])

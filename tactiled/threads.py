@@ -3,6 +3,7 @@
 import ctypes
 from collections import deque
 from collections.abc import Callable
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import suppress
 from threading import Condition, Lock, Thread, get_ident
 from types import TracebackType
@@ -54,20 +55,17 @@ class Worker:
         join_started(self._thread)
 
 
-_BACKGROUND = Lock()  # of what runs beside the frames: more at a time would take more turns from them
+_BACKGROUND = ThreadPoolExecutor(
+    1, "background"
+)  # beside the frames: more threads would take more turns from them
 
 
 def run_on_thread(work: Callable[[], None]) -> None:
-    """Start `work` on a thread, when what was started before is done.
+    """Do `work` on a thread of its own, when what came before is done; the caller goes on at once.
 
-    The interpreter waits for it: a thread that is stopped inside numpy aborts the process.
+    The interpreter waits for it: a thread that is stopped inside numpy aborts the process. An error is logged.
     """
-
-    def run() -> None:
-        with _BACKGROUND:
-            work()
-
-    Thread(target=run, name="background", daemon=False).start()  # else it is as the caller's thread
+    _BACKGROUND.submit(work).add_done_callback(Future.result)
 
 
 class FairLock:

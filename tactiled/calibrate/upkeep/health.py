@@ -67,7 +67,8 @@ RULES = {
 }
 
 
-UNRELATED = (Fault.STUCK, Fault.SATURATED, Fault.NOISY)  # to the load: what a taxel reads says nothing of it
+# Whether what a taxel reads says nothing of the load, by its fault.
+UNRELATED = np.isin(np.arange(len(Fault)), (Fault.STUCK, Fault.SATURATED, Fault.NOISY))
 
 
 class Change(NamedTuple):
@@ -201,7 +202,7 @@ class TaxelHealth:
         needed = np.maximum(LOADED_SIGMAS * sigma, LOADED * self.full_scale)
         presses = self._presses
         presses.look(load, opposite, needed)
-        explained = np.isin(self.faults, UNRELATED) | (self.faults == Fault.SWAPPED)
+        explained = UNRELATED[self.faults] | (self.faults == Fault.SWAPPED)
         suspects = np.flatnonzero(presses.low & readable & ~explained)
         if suspects.size:
             lowest = self._neighbourhood.lowest(suspects, load - presses.rest, healthy & ~presses.low)

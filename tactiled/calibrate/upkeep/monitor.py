@@ -69,7 +69,7 @@ class SkinMonitor:
         if self.map.due(frame.time):
             load = calibrator.pressure(frame.counts) / np.float32(self._per_count)
             unknown = frame.flags & (MISSING | BAD) > 0
-            unread = unknown | calibrator.dead | np.isin(self._health.faults, UNRELATED)
+            unread = unknown | calibrator.dead | UNRELATED[self._health.faults]
             self.map.observe(frame.time, np.where(unread, np.float32(0), load), self._noise.sigma)
         block = self._blocks.collect(frame.time, frame.counts, frame.flags)
         if block is None:
