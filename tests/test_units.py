@@ -15,7 +15,7 @@ from tactiled.web.server import running
 from tests.cli.commands import refusal, succeed
 from tests.cli.recordings import CONFIG as RECORDED
 from tests.cli.recordings import traffic, write
-from tests.cli.test_export import exported, topics
+from tests.cli.test_export import exported, npz_arrays, topics
 from tests.client.test_stream import first
 from tests.conftest import CONFIG, NO_LOAD, SIDE, Rig, ask, meanwhile, pressed, until
 from tests.web.http.raw import npy
@@ -112,7 +112,7 @@ def test_answers_streams_pictures_and_metrics_of_a_sensor(unit):
 def test_exports_and_commands_of_a_sensor(unit, tmp_path):
     config, log = tmp_path / "a.toml", write(tmp_path / "a.log", traffic())
     config.write_text(configured(RECORDED, unit))
-    npz = np.load(exported(log, config, tmp_path / "a.npz"))
+    npz = npz_arrays(log, config, tmp_path / "a.npz")
     about = json.loads(npz["provenance"].item())
     del about["config"]  # as the user wrote it
     got, _ = topics(exported(log, config, tmp_path / "a.mcap"))

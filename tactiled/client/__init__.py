@@ -304,7 +304,8 @@ class Client:
             with open_url(request, timeout=timeout_s) as answer:
                 yield answer
         except HTTPError as error:
-            raise _refusal(self.url, error) from error
+            with error:
+                raise _refusal(self.url, error) from error
         except (OSError, HTTPException, ValueError) as error:
             raise TactileError(f"{self.url}: {describe(error)}") from error
 

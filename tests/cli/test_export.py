@@ -46,6 +46,12 @@ def exported(log, config, out, *arguments):
     return out
 
 
+def npz_arrays(*arguments):
+    """Those of an export to .npz."""
+    with np.load(exported(*arguments)) as file:
+        return {**file}
+
+
 def test_two_boards_with_one_id_on_two_channels_are_not_mixed(tmp_path, config):
     lines = write(tmp_path / "one.log", traffic()).read_text().splitlines()
     log = tmp_path / "all.log"
@@ -62,7 +68,8 @@ def test_an_export_holds_the_images_of_a_replay_and_their_provenance(tmp_path, c
     output = succeed("export", lossy, "--config", config, "-o", out)
     assert f"a.npz: {FRAMES} frames of palm from 177 messages in " in output
     replayed, _ = images(lossy)
-    got = np.load(out)
+    with np.load(out) as file:
+        got = {**file}
     assert (got["raw"].dtype, got["time"].dtype, got["sequence"].dtype) == (np.float32, np.float64, np.int64)
     for name in ("raw", "restored", "flags"):
         assert got[name].shape == (FRAMES, 8, 8)
@@ -116,7 +123,7 @@ def test_an_export_has_the_regions_that_the_sensor_has_in_its_service(tmp_path, 
 
 
 def test_hdf5_holds_the_arrays_of_npz_with_their_units(tmp_path, config, lossy):
-    npz = np.load(exported(lossy, config, tmp_path / "a.npz"))
+    npz = npz_arrays(lossy, config, tmp_path / "a.npz")
     with h5py.File(exported(lossy, config, tmp_path / "a.h5")) as got:
         dimensions = {name for name in got if got[name].attrs.get("NAME", b"").startswith(b"This is a netCDF")}
         assert dimensions == {"row", "column", "cell_row", "cell_column", "taxel", "cell", "axis"}
@@ -134,7 +141,7 @@ def test_hdf5_holds_the_arrays_of_npz_with_their_units(tmp_path, config, lossy):
 
 def test_tables_have_a_row_a_frame_and_leave_out_what_is_not_known(tmp_path, config, lossy, keep_regions):
     keep_regions(heel=HEEL)
-    npz = np.load(exported(lossy, config, tmp_path / "a.npz"))
+    npz = npz_arrays(lossy, config, tmp_path / "a.npz")
     table = parquet.read_table(exported(lossy, config, tmp_path / "a.parquet"))
     with exported(lossy, config, tmp_path / "a.csv").open(newline="") as file:
         lines = [*csv.DictReader(file)]
@@ -206,7 +213,7 @@ def check_mcap(path):
 
 
 def test_mcap_holds_images_and_messages_in_foxgloves_schemas(tmp_path, config, lossy):
-    npz = np.load(exported(lossy, config, tmp_path / "a.npz"))
+    npz = npz_arrays(lossy, config, tmp_path / "a.npz")
     check_mcap(exported(lossy, config, tmp_path / "a.mcap"))
     got, provenance = topics(tmp_path / "a.mcap")
     assert json.loads(provenance) == json.loads(npz["provenance"].item())
@@ -225,7 +232,7 @@ def test_mcap_holds_images_and_messages_in_foxgloves_schemas(tmp_path, config, l
 def test_a_layout_without_a_grid(tmp_path):
     log, hand = recording.path("book_1"), tmp_path / "hand.toml"
     hand.write_text(GRASP)
-    npz = np.load(exported(log, hand, tmp_path / "a.npz"))
+    npz = npz_arrays(log, hand, tmp_path / "a.npz")
     assert npz["raw"].shape == (15, 60)
     provenance = json.loads(npz["provenance"].item())
     assert provenance["warnings"][0]["code"] == "uncalibrated"
@@ -317,7 +324,7 @@ def test_one_of_several_sensors(tmp_path, config, lossy):
     out = tmp_path / "a.npz"
     message = refusal("export", lossy, "--config", config, "-o", out, "--sensor", "thumb")
     assert message.endswith("a.log: holds no frame of sensor thumb (177 messages)")
-    assert len(np.load(exported(lossy, config, out, "--sensor", "palm"))["raw"]) == FRAMES
+    assert len(npz_arrays(lossy, config, out, "--sensor", "palm")["raw"]) == FRAMES
 
 
 def test_a_zone_is_that_of_recordings_that_do_not_say_theirs(tmp_path, config):
@@ -326,8 +333,10 @@ def test_a_zone_is_that_of_recordings_that_do_not_say_theirs(tmp_path, config):
     content[8:10] = 2, 12  # CANoe
     blf.write_bytes(content)
     assert "unknown time zone" in succeed("export", blf, "--config", config, "-o", out)
-    moved = exported(blf, config, tmp_path / "b.npz", "--zone", "Asia/Tokyo")
-    assert (np.load(out)["time"] - np.load(moved)["time"]).tolist() == [9 * 3600.0] * len(np.load(out)["time"])
+    with np.load(out) as file:
+        times = file["time"]
+    moved = npz_arrays(blf, config, tmp_path / "b.npz", "--zone", "Asia/Tokyo")
+    assert (times - moved["time"]).tolist() == [9 * 3600.0] * len(times)
     refused = refusal("export", blf, "--config", config, "-o", tmp_path / "c.npz", "--zone", "Mars/Base")
     assert refused == "--zone Mars/Base: no such time zone: give one such as Europe/Berlin"
 

@@ -17,7 +17,7 @@ from tactiled.config.example import GRASP
 from tactiled.frames import FLAG_BITS, MISSING
 from tests.cli.commands import refusal
 from tests.cli.recordings import HEEL
-from tests.cli.test_export import check_mcap, exported
+from tests.cli.test_export import check_mcap, exported, npz_arrays
 
 ORIGIN_MM, ORIENTATION = [10.0, 0.0, 2.5], [0.0, 0.0, 0.7071, 0.7071]
 PLACE = f'pitch_mm = 1.0, frame_id = "hand", origin_mm = {ORIGIN_MM}, orientation = {ORIENTATION}'
@@ -77,7 +77,7 @@ def layout(tmp_path_factory):
 
 
 def test_a_bag_holds_the_images_of_every_frame_at_its_time(tmp_path, config, lossy):
-    npz = np.load(exported(lossy, config, tmp_path / "a.npz"))
+    npz = npz_arrays(lossy, config, tmp_path / "a.npz")
     file = bag(lossy, config, tmp_path / "grasp")
     check_mcap(file)
     got = columns(file)

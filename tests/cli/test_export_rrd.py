@@ -10,7 +10,7 @@ from rerun.chunk import RrdReader
 from tactiled.bus import recording
 from tactiled.config.example import GRASP
 from tests.cli.recordings import HEEL, traffic, write
-from tests.cli.test_export import exported, topics
+from tests.cli.test_export import exported, npz_arrays, topics
 from tests.cli.test_export_rosbag2 import pictures, values
 from tests.conftest import BUSY_S
 
@@ -32,7 +32,7 @@ def columns(file):
 
 
 def test_an_export_for_rerun_holds_maps_series_and_warnings(tmp_path, config, lossy):
-    npz = np.load(exported(lossy, config, tmp_path / "a.npz"))
+    npz = npz_arrays(lossy, config, tmp_path / "a.npz")
     got, static = columns(exported(lossy, config, tmp_path / "a.rrd"))
     times = [round(each * 1e9) for each in npz["time"].tolist()]
     for name in ("raw", "restored"):
@@ -72,7 +72,7 @@ def test_warnings_that_begin_together_are_in_their_order(tmp_path, config):
 
 def test_an_export_for_rerun_has_series_of_the_regions(tmp_path, config, lossy, keep_regions):
     keep_regions(**{"left heel": HEEL})
-    expected = np.load(exported(lossy, config, tmp_path / "a.npz"))["regions"]
+    expected = npz_arrays(lossy, config, tmp_path / "a.npz")["regions"]
     got, _ = columns(exported(lossy, config, tmp_path / "a.rrd"))
     for k, key in enumerate(("force", "mean", "peak", "area")):
         values = [each[0] for each in got[rf"/palm/regions/left\ heel/{key}"]["scalars"]]
@@ -82,7 +82,7 @@ def test_an_export_for_rerun_has_series_of_the_regions(tmp_path, config, lossy, 
 def test_a_layout_is_a_picture_in_counts_with_the_screen_to_show_it_on(tmp_path):
     log, hand = recording.path("book_1"), tmp_path / "hand.toml"
     hand.write_text(GRASP)
-    npz = np.load(exported(log, hand, tmp_path / "a.npz"))
+    npz = npz_arrays(log, hand, tmp_path / "a.npz")
     out = exported(log, hand, tmp_path / "a.rrd")
     got, static = columns(out)
     for name, at in (("raw", npz["positions_mm"]), ("restored", npz["cells_mm"])):

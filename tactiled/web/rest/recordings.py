@@ -5,7 +5,7 @@ import re
 import stat
 from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -166,9 +166,9 @@ class Recordings:
     def page(self, query: PageQuery) -> RecordingPage:
         """Recordings by name, a running one whatever became of its file; links and other files are none."""
         with self._lock:
-            running = {name for name, run in self._runs.items() if run.is_alive()}
-            with _failing("recordings"):
-                names = running | {path.name for path in self._folder.glob("*") if _is_recording(path)}
+            names = {name for name, run in self._runs.items() if run.is_alive()}
+            with _failing("recordings"), suppress(FileNotFoundError):  # of a folder that nothing has made yet
+                names |= {path.name for path in self._folder.iterdir() if _is_recording(path)}
             after = [name for name in sorted(names) if query.after is None or name > query.after]
             page = tuple(map(self.recording, after[: query.limit]))
         return RecordingPage(recordings=page, after=page[-1].name if len(after) > query.limit else None)
@@ -210,6 +210,7 @@ class Recordings:
                     with part.open("xb") as file:
                         async for chunk in request.stream():
                             file.write(chunk)
+                            file.flush()  # what is counted is no longer free
                             count(len(chunk))
                     recorded = Recorded(part)
                     check = partial(_check, part, recorded)
