@@ -99,7 +99,7 @@ def _scaling(place: str, codec: Dbc) -> Iterator[Finding]:
     """What a DBC file says of its signals' pressure, which no setting says."""
     scale, offset, unit = codec.scaling or (0.0, 0.0, "")
     if unit in KPA and scale:
-        values = f"kpa_per_count = {scale * KPA[unit]:g} and no_load = {-offset / scale:g}"
+        values = f"kpa_per_count = {scale * KPA[unit]:g} and no_load = {0.0 - offset / scale:g}"
         reason = f"counts without kpa_per_count; {values} by scale, offset and unit of the DBC file"
         yield Finding(place, "", reason, hint=True)
 

@@ -123,9 +123,11 @@ def test_a_grid_that_is_given_as_positions_is_only_a_hint():
 
 def test_scale_and_unit_of_a_dbc_file_are_offered():
     def hints(signals, calibration=""):
-        taxels = [f"Row{signals}.T{signals}_{column}" for column in range(3)]
+        return hints_of([f"Row{signals}.T{signals}_{column}" for column in range(3)], calibration)
+
+    def hints_of(taxels, calibration=""):
         codec = f'name = "dbc", file = "{DBC}", taxels = {taxels}'
-        return findings(toml(codec, (1, 3, 4.0), [(1.0, 0.5, 0.48)], [], calibration), hints=True)
+        return findings(toml(codec, (1, len(taxels), 4.0), [(1.0, 0.5, 0.48)], [], calibration), hints=True)
 
     (hint,) = hints(0)
     assert hint == (
@@ -134,6 +136,8 @@ def test_scale_and_unit_of_a_dbc_file_are_offered():
     )
     assert not hints(0, "kpa_per_count = 0.05")
     assert not hints(1)  # no unit
+    (hint,) = hints_of(["Floats.F0", "Floats.F1"])
+    assert "kpa_per_count = 1 and no_load = 0 by" in hint
 
 
 def test_what_may_be_meant_is_only_a_hint():

@@ -150,8 +150,8 @@ test("a report has the values of its frame, and takes no name for HTML", () => {
   trace.push(1, 0.039, 0.078);
   const html = reportHtml({
     title: "palm <b>", frame, plane: ROW, origin: [["sensor", "a&b"]], pictures: [["Maps", "data:,"]], contacts: [],
-    regions: [["<i>heel", { force: 0.06, mean: 60, peak: 60, area: 1 }], ["toe", null]], trace,
+    regions: [["<i>heel", { force: 0.06, mean: 60, peak: 60, area: 1 }], ["toe", null]], trace, colors: { text: "#eee", muted: "#999", panel: "#111" },
   });
-  for (const text of ["palm &#60;b&#62;", "a&#38;b", "<td>0.0780</td>", "<td>60.0</td>", "<td>3.00</td>", "&#60;i&#62;heel", "1.000,0.039,0.078", "<td>–</td>"]) assert.ok(html.includes(text), text);
+  for (const text of ["palm &#60;b&#62;", "a&#38;b", "<td>0.0780</td>", "<td>60.0</td>", "<td>3.00</td>", "&#60;i&#62;heel", "1.000,0.039,0.078", "<td>–</td>", "color: #eee; background: #111;"]) assert.ok(html.includes(text), text);
   assert.ok(!/<b>|<i>|https?:/.test(html));
 });

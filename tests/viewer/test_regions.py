@@ -5,7 +5,7 @@ import pytest
 
 from tactiled.live.region_monitor import MIN_GAP_S
 from tests.conftest import ask, pressed, until
-from tests.viewer.conftest import PHONE, TOUCH
+from tests.viewer.conftest import PHONE, TOUCH, WATCH_TEXTS
 
 # How many pixels of the chart have the first line's colour.
 INK = """(canvas => {
@@ -18,6 +18,9 @@ INK = """(canvas => {
   }
   return count;
 })(document.getElementById("plot-chart"))"""
+
+
+DRAWN = "window.drawn"
 
 
 def drag(page, box, start, end):
@@ -77,6 +80,19 @@ def test_a_region_is_drawn_named_measured_and_deleted(rig, url, open_page):
     page.press("Escape")
     assert page.evaluate(active) == ""
     page.resize(1280, 860)
+    page.evaluate(WATCH_TEXTS)
+    page.show(rig, pressed(3, force=2900))
+    label = page.wait(f"{DRAWN}.findLast(each => each.id === 'raw-marks')?.box")
+    side, edge = page.box("#raw-frame")["width"], rig.sensor.array.shape[0]  # CSS px, mm
+    under = (label[1] - 2) / side * edge - 0.5  # where a region ends whose name stands in the contact's label
+    left = label[0] / side * edge - 0.5
+    row = {"shape": "rectangle", "points_mm": [[left, under - 1], [left + 2, under]]}
+    ask("PUT", f"{url}/api/v1/sensors/palm/regions/row", json=row)
+    name = page.wait(f"{DRAWN}.find(each => each.text === 'row')?.box")
+    page.evaluate("window.drawn = []")
+    page.show(rig, pressed(3, force=2800))
+    label = page.wait(f"{DRAWN}.findLast(each => each.id === 'raw-marks')?.box")
+    assert label[2] <= name[0] or name[2] <= label[0] or label[3] <= name[1] or name[3] <= label[1]
     drag(page, box, (0.1, 0.1), (0.4, 0.4))  # draws nothing any more
     assert not page.locator("#region").is_visible()
 

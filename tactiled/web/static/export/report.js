@@ -7,6 +7,7 @@ import { FORCE_UNITS, UNITS, forceNumber } from "../shell/units.js";
 /** @import { Frame, ForceTrace } from "../wire/frame_history.js" */
 /** @import { Plane } from "../maps/geometry.js" */
 /** @import { RegionMeasures } from "../maps/region_measure.js" */
+/** @import { ThemeColors } from "../shell/dom.js" */
 /** @import { Contact } from "../wire/sensor_stream.js" */
 
 /**
@@ -19,11 +20,13 @@ import { FORCE_UNITS, UNITS, forceNumber } from "../shell/units.js";
  * @property {Contact[]} contacts
  * @property {[string, RegionMeasures|null][]} regions by name
  * @property {ForceTrace|null} trace of the force; null where it has none
+ * @property {Pick<ThemeColors, "text"|"muted"|"panel">} colors of the page
  */
 
-const STYLE = `body { max-width: 1100px; margin: 24px auto; padding: 0 16px; color: #17202a; background: #fff; font: 15px/1.45 system-ui, sans-serif; }
+/** @param {Pick<ThemeColors, "text"|"muted"|"panel">} colors that the pictures have, too @returns {string} */
+const styleOf = ({ text, muted, panel }) => `body { max-width: 1100px; margin: 24px auto; padding: 0 16px; color: ${text}; background: ${panel}; font: 15px/1.45 system-ui, sans-serif; }
 img { max-width: 100%; } figure { margin: 18px 0; } table { border-collapse: collapse; margin: 10px 0 18px; }
-th, td { padding: 3px 14px 3px 0; text-align: right; font-variant-numeric: tabular-nums; } th:first-child, dt { text-align: left; color: #52606d; font-weight: 400; }
+th, td { padding: 3px 14px 3px 0; text-align: right; font-variant-numeric: tabular-nums; } th:first-child, dt { text-align: left; color: ${muted}; font-weight: 400; }
 dl { display: grid; grid-template-columns: max-content 1fr; gap: 2px 16px; } dd { margin: 0; }`;
 
 /** @param {string} text @returns {string} for HTML */
@@ -34,7 +37,7 @@ const table = ([head, ...rows]) => `<table><thead><tr>${head.map((each) => `<th 
   .map(([first, ...rest]) => `<tr><th scope="row">${escaped(first)}</th>${rest.map((each) => `<td>${escaped(each)}</td>`).join("")}</tr>`).join("")}</tbody></table>`;
 
 /** @param {Reported} reported @returns {string} a page of HTML that needs no other file */
-export function reportHtml({ title, frame, plane, origin, pictures, contacts, regions, trace }) {
+export function reportHtml({ title, frame, plane, origin, pictures, contacts, regions, trace, colors }) {
   const { unit, ofRaw, ofRestored } = frame;
   const [force, pressure] = [`, ${FORCE_UNITS[unit]}`, `, ${UNITS[unit]}`];
   const area = (/** @type {Float32Array} */ values, /** @type {number} */ gain, /** @type {import("../maps/geometry.js").Cells} */ cells) =>
@@ -63,7 +66,7 @@ export function reportHtml({ title, frame, plane, origin, pictures, contacts, re
     ...pictures.slice(1).map(figure),
     ...(trace ? [`<details><summary>Force over time, values</summary><pre>${escaped(traceCsv(trace, FORCE_UNITS[unit]))}</pre></details>`] : []),
   ];
-  return `<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>${escaped(title)}</title><style>${STYLE}</style></head>\n`
+  return `<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>${escaped(title)}</title><style>${styleOf(colors)}</style></head>\n`
     + `<body><h1>${escaped(title)}</h1>\n${sections.join("\n")}\n</body></html>\n`;
 }
 

@@ -25,6 +25,7 @@ import { SATURATED } from "../wire/wire.js";
  * @property {Map<number, string>} labels of contacts by id, as the table has them
  * @property {ContactOutline} outline of the contacts
  * @property {number} outlined number of the frame that the outlines are of
+ * @property {readonly {x: number, y: number, wide: number}[]} names of regions, CSS px by their lower left corner: labels keep off them
  */
 
 const OUTLINE_DEVIATIONS = 2; // standard deviations from the centre of a contact whose cells are not outlined to its rim
@@ -49,7 +50,7 @@ export class Overlay {
     /** What is drawn, but for crosses on saturated taxels; `known` is false where it must be redrawn. */
     this._last = {
       known: false, along: "", lineAt: NaN, probeX: NaN, probeY: NaN, ringX: NaN, ringY: NaN, pinned: false,
-      contacts: /** @type {Contact[]|null} */ (null), labels: /** @type {Map<number, string>|null} */ (null), outlined: -1,
+      contacts: /** @type {Contact[]|null} */ (null), labels: /** @type {Map<number, string>|null} */ (null), outlined: -1, names: /** @type {Marks["names"]|null} */ (null),
     };
   }
 
@@ -80,6 +81,9 @@ export class Overlay {
     if (!plane || this._same(marks, measures, flags !== null)) return;
     this._pen.clearRect(0, 0, this.canvas.width, this.canvas.height);
     this._labels.length = 0;
+    for (const { x, y, wide } of marks.names) {
+      this._labels.push({ x: Math.round((x + wide / 2) * this._ratio), y: Math.round((y - TEXT_PX / 3) * this._ratio), half: Math.round((wide / 2 + 2) * this._ratio) });
+    }
     if (flags) this._saturated(flags, plane);
     if (Number.isFinite(marks.lineAt)) this._line(marks, plane);
     if (marks.contacts) this._contacts(marks.contacts, marks, plane);
@@ -104,12 +108,13 @@ export class Overlay {
     const ringed = !marks.contacts && measures.contact;
     const ringX = ringed ? measures.x : NaN;
     const ringY = ringed ? measures.y : NaN;
-    if (last.known && !crossed && last.contacts === marks.contacts && last.labels === marks.labels && last.outlined === marks.outlined && last.pinned === marks.pinned
+    if (last.known && !crossed && last.contacts === marks.contacts && last.labels === marks.labels && last.names === marks.names && last.outlined === marks.outlined && last.pinned === marks.pinned
       && last.along === marks.along && Object.is(last.lineAt, marks.lineAt) && Object.is(last.ringX, ringX) && Object.is(last.ringY, ringY)
       && Object.is(last.probeX, marks.probeX) && Object.is(last.probeY, marks.probeY)) return true;
     last.known = !crossed;
     last.contacts = marks.contacts;
     last.labels = marks.labels;
+    last.names = marks.names;
     last.outlined = marks.outlined;
     last.pinned = marks.pinned;
     last.along = marks.along;

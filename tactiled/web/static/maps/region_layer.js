@@ -31,10 +31,10 @@ export class RegionLayer {
     this._zoom = zoom;
   }
 
-  /** @param {Outline[]} outlines */
+  /** @param {Outline[]} outlines @returns {Place[]} of their names */
   draw(outlines) {
     const plane = this._plane;
-    if (!plane) return;
+    if (!plane) return [];
     const zoom = this._zoom;
     const ratio = fitCanvas(this._canvas, plane.width * zoom, plane.height * zoom);
     const draw = context2d(this._canvas);
@@ -61,23 +61,26 @@ export class RegionLayer {
       if (!name && shape === "polygon") drawHandle(draw, points[0]);
       if (name) labels.push({ name: exceeded ? `▲ ${name}` : name, color, left, top, bottom });
     }
-    this._label(labels, plane.width * zoom, plane.height * zoom);
+    return this._label(labels, plane.width * zoom, plane.height * zoom);
   }
 
-  /** @param {Name[]} names @param {number} width px, of the map @param {number} height px */
+  /** @param {Name[]} names @param {number} width px, of the map @param {number} height px @returns {Place[]} */
   _label(names, width, height) {
     const draw = context2d(this._canvas);
     draw.lineWidth = 3;
     draw.strokeStyle = "rgb(0 0 0 / 80%)";
-    for (const { name, color, x, y } of placeNames(names, width, height, (text) => draw.measureText(text).width)) {
+    const places = placeNames(names, width, height, (text) => draw.measureText(text).width);
+    for (const { name, color, x, y } of places) {
       draw.fillStyle = color;
       draw.strokeText(name, x, y);
       draw.fillText(name, x, y);
     }
+    return places;
   }
 }
 
 /** @typedef {{name: string, color: string, left: number, top: number, bottom: number}} Name of a region that is there, px */
+/** @typedef {Name & {x: number, y: number, wide: number}} Place by its lower left corner */
 
 /**
  * Place each name below its region, as labels of contacts are above them; else above or in it.
@@ -85,10 +88,10 @@ export class RegionLayer {
  * @param {number} width px, of the map
  * @param {number} height px
  * @param {(text: string) => number} widthOf a text, px
- * @returns {(Name & {x: number, y: number, wide: number})[]} those that are on the map and over no other, by their lower left corner
+ * @returns {Place[]} those that are on the map and over no other
  */
 export function placeNames(names, width, height, widthOf) {
-  /** @type {(Name & {x: number, y: number, wide: number})[]} */
+  /** @type {Place[]} */
   const placed = [];
   for (const each of names) {
     const { left, top, bottom } = each;

@@ -178,7 +178,10 @@ export class Regions {
     const drawn = shape && points.length ? [{ name: "", shape, points_mm: points, exceeded: false }] : [];
     const { charted } = this._viewer;
     const outlines = this._regions.map((each) => ({ ...each, slot: charted?.get(`region ${each.name}`) }));
-    for (const each of this._layers) each.draw([...outlines, ...drawn]);
+    const [names] = this._layers.map((each) => each.draw([...outlines, ...drawn]));
+    if (JSON.stringify(names) === JSON.stringify(this._viewer.marks.names)) return;
+    this._viewer.marks.names = names;
+    this._viewer.refresh();
   }
 
   /** Open the dialog for a new region: what was drawn, or the cell that was clicked. @param {Shape} shape @param {[number, number][]} points */

@@ -225,6 +225,7 @@ function report(of, viewer) {
     contacts: viewer.contactsOfFrame?.contacts ?? [],
     regions: viewer.regions?.measured() ?? [],
     trace: session instanceof PlaybackSession ? null : session.history.trace,
+    colors: themeColors(),
   });
 }
 

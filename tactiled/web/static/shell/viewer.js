@@ -96,7 +96,7 @@ export class Viewer {
     /** Whether anybody can see the cross-section. */
     this.sectionSeen = true;
     /** @type {Marks} */
-    this.marks = { along: "x", lineAt: NaN, probeX: NaN, probeY: NaN, pinned: false, contacts: null, labels: new Map(), outline: new ContactOutline(), outlined: -1 };
+    this.marks = { along: "x", lineAt: NaN, probeX: NaN, probeY: NaN, pinned: false, contacts: null, labels: new Map(), outline: new ContactOutline(), outlined: -1, names: [] };
     this._selection = 0; // counts up, so that an answer for a sensor left meanwhile is dropped
     this._fresh = false; // a frame came that is not painted yet
     this._dirty = false;
