@@ -13,6 +13,8 @@ from tactiled.bus.open_frame import Cycle, OpenFrame
 from tactiled.errors import CodecError
 from tactiled.frames import BAD, MISSING, Counts, Loss, Message, RawFrame
 
+SILENCE_S = 0.05  # of a silent bus, after which `flush` is to close an incomplete frame
+BUSY_S = 0.5  # the same without a message of the sensor, while others keep the bus busy
 # A lower sequence number means a restarted sender: after a silence of RESTART_S, or after RESTART_FRAMES frames.
 RESTART_S, RESTART_FRAMES = 0.25, 3
 

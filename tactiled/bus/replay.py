@@ -8,6 +8,7 @@ from threading import TIMEOUT_MAX, Event, Thread
 
 import numpy as np
 
+from tactiled.bus.assembler import SILENCE_S
 from tactiled.bus.batch import Batch
 from tactiled.bus.codec import Codec
 from tactiled.bus.recording import Pace, Recording
@@ -17,7 +18,6 @@ from tactiled.frames import Message, RawFrame
 from tactiled.threads import join_started
 
 AT_ONCE = 1024  # messages decoded at once; more save no time
-GAP_S = 0.05  # of silence after which a half-received frame is closed, as on a bus
 LOG = logging.getLogger(__name__)
 
 
@@ -30,9 +30,9 @@ def frames(messages: Iterable[Message], router: Router, at_once: int = 1) -> Ite
     pace, waiting, times, faults = Pace(), list[Message](), list[float](), list[TactileError]()
     for message in _before_fault(messages, faults):
         last, _ = pace.now, pace.go(message.time)
-        if pace.now - last > GAP_S:
+        if pace.now - last > SILENCE_S:
             yield from router.push(Batch.of(waiting), np.array(times))
-            yield from router.flush(pace.now - GAP_S)
+            yield from router.flush(pace.now - SILENCE_S)
             waiting, times = [], []
         waiting.append(message)
         times.append(pace.now)

@@ -15,7 +15,7 @@ from tactiled.cli.sniff import listen, survey_lines
 from tactiled.config import Config, load, tls_context
 from tactiled.cover.summary import CoverSummary, summarise
 from tactiled.live.service import Service
-from tactiled.live.state import StateFile
+from tactiled.live.state_file import StateFile
 from tactiled.messages.foxglove import need
 from tactiled.plausibility.settings import Finding, config_findings, unedited
 from tactiled.plausibility.traffic import bus_report

@@ -12,7 +12,7 @@ from tactiled.archive.writers import FORMATS, writer
 from tactiled.bus.logfile import WRITERS
 from tactiled.cli import batch, options
 from tactiled.errors import ConfigError
-from tactiled.live.state import StateFile
+from tactiled.live.state_file import StateFile
 
 ENDINGS = ", ".join(name for name in FORMATS if name[0] == ".")
 TO_HELP = f"Format: {', '.join(name.removeprefix('.') for name in FORMATS)}; left out: by the file's ending."

@@ -15,9 +15,9 @@ from tactiled.cli.app import stoppable
 from tactiled.config import Config, Server, load, validated
 from tactiled.errors import ConfigError
 from tactiled.interop.bridges import configured
-from tactiled.live.health import REPLAYED
 from tactiled.live.sensor import Sensor
 from tactiled.live.service import Service
+from tactiled.live.status import REPLAYED
 from tactiled.recorded.noise import measure
 from tactiled.web.app import create
 from tactiled.web.server import serve

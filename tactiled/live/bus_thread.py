@@ -10,7 +10,7 @@ from dataclasses import replace
 from functools import partial
 from typing import Any
 
-from tactiled.bus.assembler import Assembler
+from tactiled.bus.assembler import BUSY_S, SILENCE_S, Assembler
 from tactiled.bus.polling import Poller
 from tactiled.bus.reader import Reader, only, open_bus
 from tactiled.bus.router import Frames, Router
@@ -20,8 +20,6 @@ from tactiled.frames import Loss
 from tactiled.live.sensor import Sensor
 from tactiled.threads import FRAME_LOCK, join_started
 
-POLL_S = 0.05  # longest wait of a read: bounds the delay of a stop, and of the end of an incomplete frame
-BUSY_S = 0.5  # without a message of a sensor, until its incomplete frame ends on a busy bus
 MAX_FULL_BATCHES = 8  # full batches in a row, after which a frame is restored although newer messages wait
 BACK_OFF_S = (0.2, 5.0)  # first and longest wait before a lost bus is opened again
 LOG = logging.getLogger(__name__)
@@ -163,13 +161,13 @@ class BusThread:
             now = time.monotonic()
             reader.unsent += self._poller.send_due(reader.send, now)
             needed = self._router.needed
-            batch = reader.batch(min(POLL_S, self._poller.wait_s(now)), needed)
+            batch = reader.batch(min(SILENCE_S, self._poller.wait_s(now)), needed)  # bounds a stop's delay, too
             now = time.monotonic()
             if len(batch):
                 with FRAME_LOCK:
                     frames = self._router.push(batch, now)
                 self._offer(frames)
-            self._offer(self._router.flush(now - (BUSY_S if len(batch) else POLL_S)))
+            self._offer(self._router.flush(now - (BUSY_S if len(batch) else SILENCE_S)))
             full = full + 1 if len(batch) >= MAX_FRAMES and len(batch) > needed else 0
             if full % MAX_FULL_BATCHES == 0:
                 self._restore_offered()

@@ -8,7 +8,7 @@ from tactiled.contacts.regions import Region
 from tactiled.errors import StateError, UnknownSensorError
 from tactiled.live.events import Events
 from tactiled.live.sensor import Sensor
-from tactiled.live.state import StateFile
+from tactiled.live.state_file import StateFile
 
 
 class KeptRegions:

@@ -17,11 +17,11 @@ from tactiled.frames import FrameWarning, Image, RawFrame
 from tactiled.geometry import tiling
 from tactiled.live.contact_search import ContactSearch
 from tactiled.live.hand_over import HandOver
-from tactiled.live.health import Health, State, Status
 from tactiled.live.history import History
 from tactiled.live.hub import Hub, Publisher
 from tactiled.live.pipeline import Pipeline
 from tactiled.live.region_monitor import RegionMonitor
+from tactiled.live.status import Health, State, Status
 from tactiled.live.timings import Timings
 from tactiled.threads import FRAME_LOCK, run_on_thread
 

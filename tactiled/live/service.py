@@ -34,7 +34,7 @@ from tactiled.live.events import Events, Faults, duration
 from tactiled.live.kept_regions import KeptRegions
 from tactiled.live.reload import Reload, compare, new_plans
 from tactiled.live.sensor import BUDGET_SHARE, MAX_SHARES, Sensor
-from tactiled.live.state import KeptTare, StateFile
+from tactiled.live.state_file import KeptTare, StateFile
 from tactiled.live.watch import Watch
 from tactiled.restore.methods import METHODS, OLD_NAMES, named
 

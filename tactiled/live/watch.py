@@ -8,8 +8,8 @@ from tactiled.calibrate.upkeep.health import RULES, Change, Fault
 from tactiled.contacts.regions import measure_units
 from tactiled.frames import FrameWarning
 from tactiled.live.events import Events, Faults, Kind
-from tactiled.live.health import State
 from tactiled.live.sensor import Sensor
+from tactiled.live.status import State
 from tactiled.threads import join_started
 
 LOOK_EVERY_S = 0.1

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 from tactiled.bus.socketcan import KINDS
 from tactiled.contacts.detection import Contact
 from tactiled.frames import Image
-from tactiled.live.health import Status
 from tactiled.live.sensor import Sensor
+from tactiled.live.status import Status
 from tactiled.restore.methods import METHODS
 from tactiled.units import FORCE_UNITS, Unit, if_calibrated
 from tactiled.web import calibration_schemas, schemas

@@ -7,7 +7,7 @@ from pydantic import BaseModel, ConfigDict, Field, create_model
 from tactiled import units
 from tactiled.diagnostics.warning_codes import WarningCode
 from tactiled.frames import Direction, Loss
-from tactiled.live.health import State
+from tactiled.live.status import State
 from tactiled.restore.methods import METHODS
 
 PressureKind = Literal["raw", "restored", "deviation"]

@@ -10,9 +10,9 @@ from tactiled.contacts.detection import Contact
 from tactiled.frames import Image
 from tactiled.geometry import Array, Raster
 from tactiled.live.events import Events, Faults
-from tactiled.live.health import State, Status
 from tactiled.live.history import History
 from tactiled.live.hub import Hub
+from tactiled.live.status import State, Status
 from tactiled.live.timings import Timings
 from tactiled.units import Unit
 

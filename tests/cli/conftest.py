@@ -5,7 +5,7 @@ import pytest
 
 from tactiled.bus.reader import open_bus
 from tactiled.frames import Message
-from tactiled.live.state import StateFile
+from tactiled.live.state_file import StateFile
 from tests.cli.recordings import CONFIG, traffic, write
 
 

@@ -14,7 +14,7 @@ from tactiled.guided.calibrations import GuidedCalibrations
 from tactiled.live import service as module
 from tactiled.live.pipeline import Pipeline
 from tactiled.live.service import Service
-from tactiled.live.state import StateFile
+from tactiled.live.state_file import StateFile
 from tests.calibrate.files import calibration_file, gain_section
 from tests.conftest import CONFIG, NO_LOAD, pressed
 from tests.live.conftest import frame

@@ -10,7 +10,7 @@ from tactiled.frames import MISSING
 from tactiled.geometry import grid, raster
 from tactiled.live.region_monitor import MAX_REGIONS, MIN_GAP_S, SERIES_S, RegionMonitor
 from tactiled.live.service import Service
-from tactiled.live.state import StateFile
+from tactiled.live.state_file import StateFile
 from tests.conftest import CONFIG
 
 CELLS = raster(grid(4, 4, 1.0), 1)

@@ -10,7 +10,7 @@ from tactiled.errors import ConfigError, ReloadError, TactileError
 from tactiled.live.reload import new_plans
 from tactiled.live.sensor import Sensor
 from tactiled.live.service import Service
-from tactiled.live.state import StateFile
+from tactiled.live.state_file import StateFile
 from tests.conftest import CONFIG, NO_LOAD, pressed, until
 
 BUS = '\n[bus.{name}]\ninterface = "virtual"\nchannel = "{channel}"\n'

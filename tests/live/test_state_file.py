@@ -8,7 +8,7 @@ import pytest
 from tactiled.config import parse
 from tactiled.errors import ConfigError, StateError
 from tactiled.live.service import Service
-from tactiled.live.state import StateFile, default_path
+from tactiled.live.state_file import StateFile, default_path
 from tests.conftest import CONFIG
 
 

@@ -18,7 +18,7 @@ from tactiled.bounds import NAME, Bounds, Name, Pitch, Place, Syntax
 from tactiled.diagnostics.warning_codes import WarningCode
 from tactiled.frames import Direction, FrameWarning
 from tactiled.live.events import Kind as EventKind
-from tactiled.live.health import State
+from tactiled.live.status import State
 from tactiled.wire import Unpacked, unpack
 
 ROBOT_AND_SENSOR = re.compile(rf"{NAME[1:-1]}/{NAME[1:-1]}")

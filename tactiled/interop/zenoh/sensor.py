@@ -17,9 +17,9 @@ from tactiled.geometry import Array, raster, spacing
 from tactiled.interop.zenoh import messages
 from tactiled.interop.zenoh.session import HEARTBEAT_S, LOST_AFTER_S, Answer, Head, Request
 from tactiled.live.contact_search import ContactSearch
-from tactiled.live.health import State, Status
 from tactiled.live.history import History
 from tactiled.live.hub import Hub
+from tactiled.live.status import State, Status
 from tactiled.live.timings import Timings
 from tactiled.units import Unit
 from tactiled.wire import HEADER

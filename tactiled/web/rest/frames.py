@@ -13,8 +13,8 @@ from starlette.concurrency import run_in_threadpool
 
 from tactiled.bounds import Syntax
 from tactiled.frames import Image
-from tactiled.live.health import Status
 from tactiled.live.history import Page
+from tactiled.live.status import Status
 from tactiled.units import PRESSURE, SHEAR, Unit
 from tactiled.web import answers, schemas
 from tactiled.web.rest import drawing

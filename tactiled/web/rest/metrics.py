@@ -13,8 +13,8 @@ from prometheus_client.metrics_core import GaugeMetricFamily as Gauge
 from prometheus_client.metrics_core import Metric
 
 from tactiled.bus.socketcan import KINDS
-from tactiled.live.health import State
 from tactiled.live.sensor import Sensor
+from tactiled.live.status import State
 from tactiled.live.timings import BOUNDS_S, Histogram
 from tactiled.web.http.connection_limit import Places
 from tactiled.web.http.limits import ConcurrencyLimit

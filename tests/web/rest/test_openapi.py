@@ -10,7 +10,7 @@ from schemathesis.config import SchemathesisConfig
 from schemathesis.engine import events, from_schema
 
 from tactiled.config import Server
-from tactiled.live.state import StateFile
+from tactiled.live.state_file import StateFile
 from tactiled.web.server import running
 from tests.calibrate.files import calibration_file
 from tests.conftest import BUSY_S, CONTROL, Rig, ask, meanwhile, until

@@ -7,7 +7,7 @@ import pytest
 from tactiled.calibrate.upkeep.health import RULES, Fault
 from tactiled.config import parse
 from tactiled.live.service import Service
-from tactiled.live.state import StateFile
+from tactiled.live.state_file import StateFile
 from tactiled.web.server import running
 from tests.conftest import BUSY_S, CONFIG, GAIN, NO_LOAD, SIDE, ask, pressed, problem, until
 
