@@ -7,8 +7,14 @@ from libc.stdlib cimport free, malloc
 cdef extern from "products.h" nogil:
     void product(long m, long n, long l, const float *a, long down, long across, const float *b, float *out)
 
-cdef enum:
-    WINDOW = 2  # modes on either side whose power is averaged with that of one
+cdef extern from "looks.h" nogil:
+    struct looks:
+        float highest, above, above_squared, below_squared
+
+    looks look_at(long n, const float *x)
+    float dot(long n, const float *a, const float *b)
+    int window_means(const float *x, long rows, long columns, float *out)
+    bint any_above(long n, float *values, float variance, float level, const float *limit)
 
 cdef float MOST = 1e18  # of a power over the noise's: more overflows, and changes nothing
 
@@ -99,30 +105,24 @@ def outstanding(
     ValueError where shapes do not fit.
     """
     cdef long K = squares.shape[0], L = squares.shape[1], size = K * L, i, j
-    cdef bint found = False
-    cdef float level = 0, a, b, q, p, own
+    cdef bint found = False, full = False
+    cdef float level, a, b, q, p, own
     if not (
         K and L and limit.shape[0] == quiet.shape[0] == inverse.shape[0] == firm.shape[0] == weight.shape[0] == K
         and out.shape[0] == down.shape[0] == K and out.shape[1] == across.shape[0] == L
         and limit.shape[1] == quiet.shape[1] == inverse.shape[1] == firm.shape[1] == weight.shape[1] == L
     ):
         raise ValueError("outstanding: shapes do not fit")
-    cdef float *power = <float *>malloc(2 * size * sizeof(float))
+    cdef float *power = <float *>malloc(size * sizeof(float))
     if power == NULL:
         raise MemoryError
     cdef const float *c = &squares[0, 0]
     cdef const float *most = &limit[0, 0]
     cdef const float *calm = &quiet[0, 0]
     with nogil:
-        mean_of_windows(c, K, L, power + size, power)
-        for i in range(size):
-            level += c[i] * calm[i]
-        level = max(level / variance, 1)
-        for i in range(size):
-            power[i] /= variance
-            found |= power[i] > level * most[i]
-        if found:
-            found = False
+        full = window_means(c, K, L, power) < 0
+        level = max(dot(size, c, calm) / variance, 1)
+        if not full and any_above(size, power, variance, level, most):
             a = excess(c + L // 2, L - L // 2, 1, variance)
             b = excess(c + K // 2 * L, K - K // 2, L, variance)
             for i in range(K):
@@ -136,35 +136,9 @@ def outstanding(
                     else:
                         out[i, j] = weight[i, j]
         free(power)
+    if full:
+        raise MemoryError
     return found
-
-
-cdef void mean_of_windows(const float *x, long K, long L, float *between, float *out) noexcept nogil:
-    """Mean over WINDOW modes on either side along both axes, fewer at the border."""
-    cdef long i, j, k, first, last
-    for i in range(K):
-        first, last = max(i - WINDOW, 0), min(i + WINDOW, K - 1)
-        for j in range(L):
-            between[i * L + j] = x[first * L + j]
-        for k in range(first + 1, last + 1):
-            for j in range(L):
-                between[i * L + j] += x[k * L + j]
-        for j in range(L):
-            between[i * L + j] /= last + 1 - first
-    for i in range(K):
-        for j in range(L):
-            if WINDOW <= j < L - WINDOW:
-                continue
-            first, last = max(j - WINDOW, 0), min(j + WINDOW, L - 1)
-            out[i * L + j] = 0
-            for k in range(first, last + 1):
-                out[i * L + j] += between[i * L + k]
-            out[i * L + j] /= last + 1 - first
-        for j in range(WINDOW, L - WINDOW):
-            out[i * L + j] = 0.2 * (
-                between[i * L + j - 2] + between[i * L + j - 1] + between[i * L + j]
-                + between[i * L + j + 1] + between[i * L + j + 2]
-            )
 
 
 cdef float excess(const float *x, long n, long step, float variance) noexcept nogil:
@@ -185,17 +159,9 @@ def signed_sums(const float[:, ::1] x):
 
     NaN where there is no value.
     """
-    cdef long i
-    cdef float total = 0, above = 0, below = 0, positive, negative, highest = -INFINITY
+    cdef looks seen
     if x.shape[0] * x.shape[1] == 0:
         return 0.0, 0.0, 0.0, NAN
-    cdef const float *values = &x[0, 0]
     with nogil:
-        for i in range(x.shape[0] * x.shape[1]):
-            positive, negative = max(values[i], 0), min(values[i], 0)
-            total += positive
-            above += positive * positive
-            below += negative * negative
-        for i in range(x.shape[0] * x.shape[1]):
-            highest = values[i] if values[i] > highest else highest
-    return total, above, below, highest
+        seen = look_at(x.shape[0] * x.shape[1], &x[0, 0])
+    return seen.above, seen.above_squared, seen.below_squared, seen.highest

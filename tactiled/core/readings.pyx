@@ -3,6 +3,13 @@
 
 from libc.math cimport INFINITY, NAN
 
+cdef extern from "looks.h" nogil:
+    struct looks:
+        float lowest, highest
+        long known
+
+    looks look_at(long n, const float *x)
+
 
 def calibrate(
     const float[:, ::1] counts,
@@ -52,14 +59,12 @@ def calibrate(
 
 def look(const float[::1] x):
     """Give the lowest and the highest of the values that are no NaN, and how many they are; none: inf, -inf, 0."""
-    cdef long i, known = 0
-    cdef float lowest = INFINITY, highest = -INFINITY
+    cdef looks seen
+    if x.shape[0] == 0:
+        return INFINITY, -INFINITY, 0
     with nogil:
-        for i in range(x.shape[0]):
-            lowest = x[i] if x[i] < lowest else lowest
-            highest = x[i] if x[i] > highest else highest
-            known += x[i] == x[i]
-    return lowest, highest, known
+        seen = look_at(x.shape[0], &x[0])
+    return seen.lowest, seen.highest, seen.known
 
 
 def keep_total(
