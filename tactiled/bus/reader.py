@@ -57,7 +57,7 @@ class Reader:
     def __init__(self, bus: BusABC, label: str, redact: Callable[[str], str] = str) -> None:
         self._bus, self.label, self._redact = bus, label, redact
         self._socket = _socket(bus)
-        self._frames: FrameReader | None = None  # faster; it does not know the filters of python-can itself
+        self._frames: FrameReader | None = None  # faster, but ignores filters that python-can applies itself
         if self._socket and filters_in_kernel(bus):
             self._frames = FrameReader(self._socket.fileno()) if FrameReader.supported(self._socket) else None
         self._waiting: deque[Message] = deque()  # taken from the bus, not yet received
@@ -67,8 +67,8 @@ class Reader:
         self.unsent = 0  # messages to skins that the bus did not take
         self.unreadable = 0  # what came and could not be decoded
         self._unreadable_in_a_row = 0  # without a frame or a silence between
-        self.kinds = dict.fromkeys(KINDS, 0)  # of error frames; never grows: threads read it
-        self.off: str | None = None  # that it is off the bus now, and what to do
+        self.kinds = dict.fromkeys(KINDS, 0)  # of error frames; its keys never change: other threads read it
+        self.off: str | None = None  # in words: it is bus-off now, and what to do; None: it is not
 
     @property
     def clock(self) -> str:
@@ -78,8 +78,8 @@ class Reader:
     def frame(self, timeout: float) -> CanMessage | None:
         """The next frame of any kind, or None after `timeout` (s) at the latest; BusError where the bus is gone.
 
-        What cannot be decoded is counted, and no frame. It knows nothing of what `batch` or `receive` have taken:
-        use it instead of them, not beside them.
+        What cannot be decoded is counted, and gives None. Use either this or `batch` and `receive`: it does not
+        return what they have taken from the bus.
         """
         try:
             frame = receive(self._bus, timeout)
@@ -102,9 +102,9 @@ class Reader:
         return self._waiting.popleft() if self._waiting else None
 
     def batch(self, timeout: float, needed: int = 1) -> Batch:
-        """The data frames that have come, or come first within `timeout` (s); BusError where the bus is gone.
+        """The data frames that have come, or else the next within `timeout` (s); BusError where the bus is gone.
 
-        Behind the first it waits up to GATHER_S until there are `needed`.
+        After the first it waits up to GATHER_S for `needed` frames in all.
         """
         if self._frames is None:
             batch = self._gathered(timeout, needed)
@@ -130,7 +130,7 @@ class Reader:
             try:
                 frame = self.frame(max(0.0, end - time.monotonic()))
             except BusError:
-                if messages:  # a bus that is gone says so again
+                if messages:  # the next read raises it again
                     break
                 raise
             if frame is None:
@@ -141,8 +141,8 @@ class Reader:
         return Batch.of(messages)
 
     def _without(self, batch: Batch, specials: list[int]) -> Batch:
-        """Count the frames of these numbers, which carry no data, and leave them out."""
-        after = 0  # the last one counted
+        """Count and leave out error and remote frames, the rows `specials`; any other frame ends bus-off."""
+        after = 0  # the row after the last one counted
         for at in specials:
             self.off = None if at > after else self.off
             id_, data = int(batch.ids[at]), batch.data[at].tobytes()[: batch.lengths[at]]
@@ -168,7 +168,7 @@ class Reader:
             self._frames = None
 
     def _count_special(self, id_: int, data: bytes, error: bool) -> None:
-        """Count an error frame, of which only SocketCAN's report their kinds, or a remote frame."""
+        """Count a remote frame, or an error frame with its kinds, which only SocketCAN reports."""
         if not error:
             self.remote += 1
             return
@@ -202,7 +202,7 @@ class Reader:
         }
 
     def close(self) -> None:
-        """Let go of the bus; one that is gone already is no error."""
+        """Close the bus; no error if it is gone already."""
         if self._socket is not None:
             self._dropped = self.dropped
             self._socket.close()
@@ -212,14 +212,14 @@ class Reader:
 
 
 def no_interface(name: str) -> str | None:
-    """What is wrong with the name of an interface, and which there are; None where nothing is."""
+    """An error text with the interfaces that there are, if `name` is none of them; else None."""
     if name in (known := {*VALID_INTERFACES, XELA_SERVER}):
         return None
     return f"python-can has no interface of that name: choose one of {', '.join(sorted(known))}"
 
 
 def open_bus(interface: str, **settings: Any) -> Reader:
-    """Open a bus by python-can's own names; BusError, one line that says what to do, where it cannot be."""
+    """Open a bus with python-can's settings; if that fails, BusError in one line that says what to do."""
     settings = seal(settings, HARMLESS)
     label, redact = f"{interface} {settings.get('channel', '')}".strip(), redactor(settings)
     if fault := no_interface(interface):
@@ -235,7 +235,10 @@ def open_bus(interface: str, **settings: Any) -> Reader:
 
 
 def only(settings: dict[str, Any], ids: Iterable[tuple[int, bool]]) -> dict[str, Any]:
-    """A bus's settings with which the kernel holds back all but `ids`; as they are where it cannot or they say."""
+    """A bus's settings with a filter in the kernel that passes `ids` alone.
+
+    Unchanged if it is no SocketCAN bus, or they have `can_filters` already.
+    """
     if settings.get("interface") != "socketcan" or "can_filters" in settings:
         return settings
     return settings | {
@@ -249,8 +252,8 @@ def only(settings: dict[str, Any], ids: Iterable[tuple[int, bool]]) -> dict[str,
 def _socket(bus: BusABC) -> socket.socket | None:
     """A second handle of the socket behind a bus; None for a bus of another kind.
 
-    Its buffer is enlarged, and only its own multicast group comes: by default Linux gives every group of its port
-    that any program has joined.
+    Its buffer is enlarged. It receives its own multicast group alone: by default Linux delivers every group on its
+    port that any program has joined.
     """
     try:
         handle = socket.socket(fileno=os.dup(bus.fileno()))
@@ -273,7 +276,7 @@ def can_message(message: Message) -> CanMessage:
 
 
 def _raw(frame: CanMessage) -> Message:
-    """A frame of python-can, of any kind, its id with the kernel's flags."""
+    """A message from python-can's frame of any kind; its id has the kernel's flags for error and remote."""
     flags = REMOTE * frame.is_remote_frame | ERROR * frame.is_error_frame
     id_ = frame.arbitration_id | flags
     return Message(frame.timestamp, id_, bytes(frame.data), frame.is_extended_id, frame.is_fd)

@@ -1,4 +1,4 @@
-"""A stream of live images from one connection to the next."""
+"""A stream of live images, which goes on over one connection after the other."""
 
 import asyncio
 import json
@@ -28,17 +28,17 @@ WEBSOCKETS_LOG = logging.getLogger("tactiled.client.websockets")
 WEBSOCKETS_LOG.setLevel(logging.CRITICAL)  # LOG has why a connection ended
 ANSWER_S = 10.0  # that the service may take to answer, or to accept a stream
 MIN_CONNECT_S = 0.1  # that an attempt to connect has when `patience_s` is nearly over
-CLOSE_S = 0.1  # that closing a connection may take: a service that hangs delays the end of `patience_s` so long
+CLOSE_S = 0.1  # that closing a connection may take; of a service that hangs, `patience_s` ends so much later
 BACK_OFF_S = (0.2, 5.0)  # first and longest wait before the next attempt to connect
 MAX_PATIENCE_S = 1e6
 MAX_RATE_HZ = 1e4  # that the service takes
-FRESH_S = 0.1  # a shorter pause of the loop makes no image old; a newer image may take as long to come
-LOG_AFTER_S = 1.0  # without a requested image, the log has the state of its sensor
-MAX_QUEUE = 1024  # messages: a loop that pauses gets one status a second of each sensor, and no image
+FRESH_S = 0.1  # after a longer pause of the loop its image is old; for so long it waits for a newer one
+LOG_AFTER_S = 1.0  # after a request without an image: then the log tells the state of its sensor
+MAX_QUEUE = 1024  # messages that wait while the loop pauses: of each sensor one status a second, and no images
 CONNECTION_ERRORS = OSError, WebSocketException  # TimeoutError is an OSError
 TOO_MANY = 4429  # streams of this client: a place may become free
 ImageCells = Literal["raster", "taxels"]  # of a restored image: those of its raster, or one value a taxel
-REFUSED = set(range(4400, 4500)) - {TOO_MANY}  # close codes that another attempt meets again
+REFUSED = set(range(4400, 4500)) - {TOO_MANY}  # close codes that another attempt would get again
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -122,11 +122,11 @@ def parse_cells(value: object) -> ImageCells:
 
 
 class Inbox:
-    """The messages of one connection: the newest image of each sensor that the loop has not had.
+    """The messages of one connection: of each sensor the newest image that the loop has not had.
 
-    An image is requested when the loop asks for one, so that it is the newest. Of several sensors each has its
-    turn, and the others wait. Where the loop was away, an image that was requested before is old: it waits FRESH_S
-    for a newer one of its sensor, and is handed out if none comes.
+    An image is requested when the loop asks for one, so that it is the newest. Several sensors take turns. After a
+    pause of the loop, an image that was requested earlier is old: it is handed out only if no newer one of its
+    sensor comes within FRESH_S.
     """
 
     def __init__(self, kinds: dict[str, Sequence[Kind]]) -> None:
@@ -144,7 +144,7 @@ class Inbox:
             self._fresh_from = self._asked_at
 
     def requests(self) -> list[str]:
-        """The messages that request images, none of a sensor whose image was requested after `ask`."""
+        """What to send now: requests for sensors that have no open one, and no image requested since `ask`."""
         waiting = {name for name, (_, requested) in self._images.items() if requested >= self._asked_at}
         names = [name for name in self._kinds if name not in self.requested and name not in waiting]
         self.requested |= dict.fromkeys(names, time.monotonic())
@@ -166,7 +166,7 @@ class Inbox:
         return image
 
     def take(self, data: str | bytes) -> str | None:
-        """Take a message; the sensor whose image it completes."""
+        """Take a message; returns the sensor whose image it completes, None if it completes none."""
         if isinstance(data, str):
             status = json.loads(data)
             self.status[status["sensor"]] = status
@@ -188,7 +188,7 @@ class Inbox:
 
 
 class Stream:
-    """A stream from one connection to the next: its address, and how long it still waits."""
+    """What a stream keeps from one connection to the next: address, last error, how long it still waits."""
 
     def __init__(
         self,
@@ -218,7 +218,7 @@ class Stream:
         self._options |= {"ssl": service.ssl_context} if service.ssl_context else {}
         self._back_off_s = BACK_OFF_S[0]
         self._error = ""  # of the newest connection, unless a message came
-        self._logged: set[str] = set()  # sensors and errors
+        self._logged: set[str] = set()  # sensors and errors that the log has told of
         self.connected()
         self.ask()
 
@@ -283,7 +283,7 @@ class Stream:
         )
 
     def _missing(self, seconds: float) -> dict[str, str]:
-        """The sensors that are not live and whose image was requested so long ago, each with its state."""
+        """Sensors that are not live and whose image was requested `seconds` ago or before, each with its state."""
         since, status = time.monotonic() - seconds, self.inbox.status
         return {
             name: f"{name} is {status[name]['state']}: {status[name]['detail']}"
@@ -300,7 +300,7 @@ class Stream:
 class Measuring(NamedTuple):
     """Adds to an image what the service measures in it."""
 
-    known: Callable[[Image], bool]  # whether that takes no request
+    known: Callable[[Image], bool]  # whether it can do so without a request
     measured: Callable[[Image], Image]
 
 

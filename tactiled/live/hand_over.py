@@ -1,4 +1,4 @@
-"""From the thread of a bus to the one that restores: the newest frame waits, no other."""
+"""Frames on their way from the thread of a bus to the thread that restores them; only the newest one waits."""
 
 import time
 from collections.abc import Callable
@@ -8,20 +8,20 @@ from math import inf
 from tactiled.frames import Loss, RawFrame
 from tactiled.threads import Worker
 
-QUICK_S = 5e-3  # of processor time for the frame before, up to which the bus's thread restores the next
+QUICK_S = 5e-3  # of processor time for the last frame, up to which the bus's thread restores the next one
 
 
 class HandOver(Worker):
-    """Restores the newest frame on its own thread, or on the caller's where frames take little time."""
+    """Restores the newest frame on a thread of its own; on the caller's if frames take little time."""
 
     def __init__(self, name: str, restore: Callable[[RawFrame, float], None]) -> None:
         """`restore` gets a frame and when it was assembled (s)."""
         super().__init__(f"restore {name}", self._work)
         self._restore = restore
-        self._waiting: tuple[RawFrame, float] | None = None  # and when it was assembled (s)
+        self._waiting: tuple[RawFrame, float] | None = None  # the newest frame, and when it was assembled (s)
         self._working = False
         self._finished = 0  # frames
-        self._took_s = inf  # of processor time, the newest of them; before any, as the first builds its tables
+        self._took_s = inf  # of processor time for the last frame; inf before the first, which builds its tables
         self.skipped = 0  # frames
         self.loss = Loss()  # of the newest frame
 
@@ -31,7 +31,10 @@ class HandOver(Worker):
         return self._finished if self._working or self._waiting is not None else None
 
     def offer(self, frame: RawFrame, assembled: float, wake: bool) -> None:
-        """Let a frame wait; one that still waits is skipped. Without `wake` the caller takes the turn."""
+        """Let a frame wait, in place of one that still waits, which is skipped.
+
+        If frames take little time, its thread is woken only with `wake`: else the caller is to call `take_turn`.
+        """
         with self._wake:
             self.skipped += self._waiting is not None
             if self.skipped:
@@ -41,7 +44,7 @@ class HandOver(Worker):
                 self._wake.notify()
 
     def take_turn(self) -> None:
-        """Restore the frame that waits on the caller's thread, to save a hand-over, unless frames take long."""
+        """Restore the waiting frame on this thread, which saves waking the other, unless frames take long."""
         if self._took_s <= QUICK_S:
             self._restore_waiting()
 
@@ -54,7 +57,7 @@ class HandOver(Worker):
             self._restore_waiting()
 
     def _begin_turn(self) -> tuple[RawFrame, float] | None:
-        """The frame that waits; None where there is none, or a thread is at the one before."""
+        """The frame that waits; None if there is none, or a thread still restores the one before."""
         with self._wake:
             if self._working or (waiting := self._waiting) is None:
                 return None
@@ -62,7 +65,7 @@ class HandOver(Worker):
             return waiting
 
     def _restore_waiting(self) -> None:
-        """Restore the frame that waits, if it is its turn."""
+        """Restore the frame that waits, unless a thread still restores the one before."""
         if (waiting := self._begin_turn()) is None:
             return
         began = time.thread_time()

@@ -14,8 +14,8 @@ from tactiled.threads import join_started
 
 LOOK_EVERY_S = 0.1
 WARNING_STAYS_S = 5.0  # after it last appeared, so that one that comes and goes is one event
-QUIET = {"cut_short", "noise_unknown"}  # a little less sharp, or just begun: no event before it lasts
-LASTS_S, GAP_S = 10.0, 1.0  # without a gap as long as this
+QUIET = {"cut_short", "noise_unknown"}  # a little less sharp, or not measured yet: an event only if it lasts
+LASTS_S, GAP_S = 10.0, 1.0  # it lasts if reported for so long, without such a gap
 MAX_TAXELS_NAMED = 8  # in an event
 STATE_EVENTS: dict[State, Kind] = {
     "live": "sensor_live", "stale": "sensor_stale", "silent": "sensor_silent", "down": "sensor_down",
@@ -34,12 +34,10 @@ class Watch:
         self._events, self._faults = events, faults
         self._watched = self.sensors  # at the last look
         self._keep_tare = keep_tare
-        self._values: dict[tuple[str, str], Hashable] = {}  # by what and whose, at the last look
-        self._silent_since: dict[str, float] = {}  # s, by sensors of which no frame has come
-        self._raised: dict[tuple[str, str], tuple[FrameWarning, float]] = {}  # by sensor and code; when, s
-        self._quiet: dict[
-            tuple[str, str], tuple[float, float]
-        ] = {}  # s, since when and until when one was reported
+        self._values: dict[tuple[str, str], Hashable] = {}  # at the last look, by kind, and by the sensor or bus
+        self._silent_since: dict[str, float] = {}  # s, of sensors from which no frame has come yet
+        self._raised: dict[tuple[str, str], tuple[FrameWarning, float]] = {}  # by sensor and code; last report, s
+        self._quiet: dict[tuple[str, str], tuple[float, float]] = {}  # s, first and last report of one in QUIET
         self.turns = 0  # looks so far
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="watch", daemon=True)
@@ -77,13 +75,13 @@ class Watch:
         self._faults.clear()
 
     def _changed(self, what: str, whose: str, value: Hashable, at_start: Hashable) -> bool:
-        """Whether a value differs from that of the last look, or at the first from that at the start."""
+        """Whether a value differs from that of the last look; at the first look, from `at_start`."""
         before = self._values.get((what, whose), at_start)
         self._values[what, whose] = value
         return value != before
 
     def _forget(self, ended: set[Sensor]) -> None:
-        """Sensors that have ended have no warnings; others of their names start anew."""
+        """Clear the warnings of sensors that have ended, and start anew with other sensors of their names."""
         names = {each.name for each in ended}
         self._values = {
             key: value for key, value in self._values.items() if key[0] == "bus" or key[1] not in names
@@ -104,7 +102,7 @@ class Watch:
                 self._events.add("bus_up", "is there again", bus=bus)
 
     def _look_at_state(self, sensor: Sensor, now: float) -> None:
-        """A sensor without a frame yet is silent once the time has passed that it has to start and to send."""
+        """A sensor without a frame yet is silent only once it has had the time that it needs to start and send."""
         status = sensor.status()
         patient = False
         if status.state == "silent":
@@ -131,7 +129,7 @@ class Watch:
                 self._events.add("warning_cleared", f"no longer: {warning.text}", name, warning=warning)
 
     def _lasts(self, reported: tuple[str, str], now: float) -> bool:
-        """Whether what is reported `now` (s), of a sensor by its code, was so for LASTS_S."""
+        """Whether a warning that is reported `now` (s), given by sensor and code, has lasted."""
         since, until = self._quiet.get(reported, (now, now))
         since = since if now - until < GAP_S else now
         self._quiet[reported] = since, now

@@ -1,6 +1,6 @@
-"""The frames of a recording in counts, each at hand at once: another process decodes the file once, to the disk.
+"""The frames of a recording in counts, in any order: another process decodes it once, into files on the disk.
 
-Any format is read so, also those that can only be read from their beginning; memory does not grow with the length.
+So formats that can only be read from the beginning are no exception, and memory does not grow with the length.
 """
 
 import os
@@ -28,7 +28,7 @@ from tactiled.frames import Loss, RawFrame
 from tactiled.processes import Cancelled, FitProcess
 from tactiled.threads import join_started
 
-FLUSH_S = 0.1  # until frames that were decoded can be read
+FLUSH_S = 0.1  # longest time until a decoded frame can be read
 LOSSES = tuple(each.name for each in fields(Loss))
 HEAD = np.dtype(
     [
@@ -36,13 +36,13 @@ HEAD = np.dtype(
         ("time", "<f8"),
         ("skew", "<f8"),
         ("sequence", "<i8"),
-        ("offset", "<i8"),  # of its arrays among those of all frames, bytes
+        ("offset", "<i8"),  # of its arrays in their file, bytes
         ("total", "<f8"),  # of its counts
         ("content", "u1"),
         ("loss", "<i8", (len(LOSSES),)),
     ]
 )
-FLOATS, FLAGS, SHEAR = 1, 2, 4  # in `content`: counts are float32, not uint16; flags are not all 0; shear
+FLOATS, FLAGS, SHEAR = 1, 2, 4  # bits of `content`: float32 counts, not uint16; flags other than 0; shear
 _losses = attrgetter(*LOSSES)
 
 
@@ -62,7 +62,7 @@ class SharedFile:
         return _reopened, (DupFd(self._file.fileno()),)
 
     def duplicate(self) -> "SharedFile":
-        """The same file, which stays open when this is closed."""
+        """A second handle of the file, which stays open when this one is closed."""
         return SharedFile(os.fdopen(os.dup(self._file.fileno()), "rb", 0))
 
     @property
@@ -71,7 +71,7 @@ class SharedFile:
         return os.fstat(self._file.fileno()).st_size
 
     def read(self, size: int, offset: int) -> bytes:
-        """What stands at an offset."""
+        """Up to `size` bytes from an offset on."""
         return os.pread(self._file.fileno(), size, offset)
 
 
@@ -80,7 +80,7 @@ def _reopened(duplicate: Any) -> Any:
 
 
 class _Writer:
-    """Writes the frames of one sensor: arrays first, so that a head that is there has them."""
+    """Writes the frames of one sensor: first arrays, then heads, so that whoever finds a head finds its arrays."""
 
     def __init__(self, heads: SharedFile, arrays: SharedFile) -> None:
         self._heads, self._arrays = heads, arrays
@@ -151,7 +151,7 @@ def _version(path: Path) -> tuple[int, int]:
 
 
 class FrameFiles:
-    """The frames of a recording's sensors, as far as they are in files; another process may read them, too."""
+    """The frames of a recording's sensors, as far as they are written; another process may read them, too."""
 
     def __init__(self, sizes: Mapping[str, int], files: Mapping[str, tuple[SharedFile, SharedFile]]) -> None:
         """`sizes`: taxels of each sensor; `files`: its heads and its arrays."""
@@ -166,18 +166,18 @@ class FrameFiles:
         return self._files[sensor][0].size // HEAD.itemsize
 
     def heads(self, sensor: str, first: int = 0, count: int | None = None) -> NDArray[Any]:
-        """What stands beside the counts of some frames, as HEAD."""
+        """The heads (of type HEAD) of `count` frames from `first` on; None: of all that follow."""
         count = self.count(sensor) if count is None else count
         return np.frombuffer(self._files[sensor][0].read(count * HEAD.itemsize, first * HEAD.itemsize), HEAD)
 
     def at(self, sensor: str, position_s: float) -> int:
-        """Number of the last frame that had come at a position; the first's before it. There must be one."""
+        """Number of the last frame at or before a position, 0 if there is none. The sensor must have a frame."""
         every = range(self.count(sensor))
         later = bisect_right(every, position_s, key=lambda n: float(self.heads(sensor, n, 1)["position"][0]))
         return max(0, later - 1)
 
     def frame(self, sensor: str, number: int) -> RawFrame:
-        """One frame, of those that are there."""
+        """A frame that is written already."""
         (head,) = self.heads(sensor, number, 1)
         size, content = self._sizes[sensor], int(head["content"])
         counts_type = np.dtype("<f4" if content & FLOATS else "<u2")
@@ -204,9 +204,9 @@ class RecordedFrames(FrameFiles):
         self.path, self.leave_mb, self._made_of, self.used_at = path, leave_mb, (_version(path), codecs), 0.0
         files = {name: (SharedFile.temporary(path.parent), SharedFile.temporary(path.parent)) for name in codecs}
         super().__init__({name: each.size for name, each in codecs.items()}, files)
-        self.error = ""  # why it, or its reading, ended early
-        self.caveats: list[str] = []  # what else it has, or is in doubt, once it is read
-        self._may_pass = self.answered = False  # `error` may pass; a client was answered with it
+        self.error = ""  # why the recording, or reading it, ended early
+        self.caveats: list[str] = []  # once it is read: what was left out of it, or is in doubt
+        self._may_pass = self.answered = False  # whether `error` may pass, and a client was told of it
         self._process = FitProcess()
         self._thread = Thread(target=self._read, args=(codecs,), name=f"read {path.name}", daemon=True)
         self._thread.start()
@@ -226,7 +226,7 @@ class RecordedFrames(FrameFiles):
         return not self.reading and self._may_pass and not any(map(self.count, self._files))
 
     def close(self) -> None:
-        """Give the disk free."""
+        """End reading, and free the disk."""
         self._process.cancel()
         join_started(self._thread)
         for each in self._files.values():

@@ -19,11 +19,11 @@ from tactiled.web.ws.query import SensorsQuery, StreamQuery, parse, parse_next
 from tactiled.web.ws.session import NOT_FOUND, REMOVED, StreamEndError, receive, refuse, serve
 from tactiled.wire import Kind
 
-STATUS_S = 1.0  # between two statuses at most, sent at ticks or between
-CONTACTS_S = 0.05  # between two messages on contacts at least
-CHANGE_S = 0.1  # between two changes of the status at least
-MAX_LATE_S = 0.02  # that an image may be late and delay no other: with more, two would be sent at once
-MAX_TIMER_S = 60.0  # a timer outlives a client that leaves
+STATUS_S = 1.0  # longest time between two statuses; a tick sends one before it is over
+CONTACTS_S = 0.05  # shortest time between two messages on contacts
+CHANGE_S = 0.1  # shortest time between two statuses, if it changes
+MAX_LATE_S = 0.02  # so late an image does not delay the next; more would let two go at once
+MAX_TIMER_S = 60.0  # the longest, as nobody cancels a timer when its client leaves
 TIMER_RESOLUTION_S = 1e-3  # uvloop's clock and timers count whole milliseconds
 MAX_CREDIT = 2  # images of each kind that a client may request ahead
 
@@ -80,7 +80,7 @@ class _Timer:
         self._alarm = 0.0
 
     def waits(self, now: float, wake: Callable[[], None]) -> bool:
-        """Whether it is too early; `wake` is then called in time."""
+        """Whether it is too early; then `wake` is called when it is time."""
         if now >= self.due - TIMER_RESOLUTION_S:
             return False
         alarm = min(self.due, now + MAX_TIMER_S)
@@ -110,15 +110,15 @@ class _Line:
 
 
 def due_after(due: float, now: float, rate_hz: float) -> float:
-    """When the next image is due (s), if one due at `due` is sent now: a late one delays no other."""
+    """When the next image is due (s), if the one due at `due` goes `now`: up to MAX_LATE_S late is no delay."""
     return max(due, now - min(MAX_LATE_S, 1 / rate_hz)) + 1 / rate_hz
 
 
 class Stream:
     """One client of one sensor or several.
 
-    An error at one of several sensors stops no other; at a single one it ends the stream. After a reload it goes
-    on with the sensors of the same names, and, where it is of all, with new ones too.
+    With several sensors, an error at one does not stop the others; with a single one it ends the stream. After a
+    reload the stream goes on with the sensors of the same names. A stream of all sensors gets new ones, too.
     """
 
     def __init__(
@@ -134,7 +134,7 @@ class Stream:
         self._lines = {name: self._line(name) for name in names}
         self._credit = dict.fromkeys(names, 0)  # images of each kind that the client has requested
         self._due: dict[_Line, None] = {}  # lines that may have something to send
-        self._error: Exception | None = None  # that a line raised where no task could
+        self._error: Exception | None = None  # raised outside the task `_send`, which raises it again
         self._wake = asyncio.Event()
 
     def _line(self, name: str) -> _Line:
@@ -165,7 +165,7 @@ class Stream:
         line.listening.enter_context(line.feed.listen(line.wake))
 
     def _follow(self) -> None:
-        """Go on with the sensors that there are now; the end of the stream where there are none."""
+        """Go on with the sensors that there are now; without any the stream ends."""
         try:
             for name, line in list(self._lines.items()):
                 if self._feeds.get(name) is not line.feed:
@@ -180,7 +180,7 @@ class Stream:
             self._wake.set()
 
     def _leave(self, name: str, line: _Line) -> None:
-        """Send that a sensor is down for good, the last of it."""
+        """Send a sensor's last status, that it is down for good, and nothing of it any more."""
         del self._lines[name]
         self._due.pop(line, None)
         line.listening.close()
@@ -188,7 +188,7 @@ class Stream:
         self._protocol.send_frames([line.feed.status_frame()])
 
     def _enter(self, name: str) -> None:
-        """Send what comes of a sensor; NoShearError where it has not what is wanted."""
+        """Begin to send a sensor; NoShearError if it lacks the shear that the client wants."""
         self._credit.setdefault(name, 0)
         self._lines[name] = line = self._line(name)
         self._listen_to(line)
@@ -207,7 +207,7 @@ class Stream:
             self._wake.set()
 
     def _has_nothing(self, line: _Line) -> bool:
-        """Whether `_send_line` would send nothing: true at every second call with flow=credit."""
+        """Whether `_send_line` would send nothing; with flow=credit that is so at every second call."""
         feed, query = line.feed, self._query
         waits = query.flow == "credit" and not self._credit[feed.sensor.name]
         if query.contacts == "1" or not (waits or feed.image is line.image):
@@ -220,7 +220,7 @@ class Stream:
             self._take_request(parse_next(await receive(self._socket), list(self._credit)))
 
     def _take_text(self, text: str) -> bool:
-        """Take a client's request at once; False if it is none: then `_listen` gets it and ends the stream."""
+        """Take a text at once if it is a request; else False: then `_listen` gets it, and ends the stream."""
         try:
             names = parse_next(text, list(self._credit))
         except ValueError:
@@ -300,7 +300,7 @@ class Stream:
                 line.search.add_done_callback(lambda _: line.wake())
         if not line.search.done():
             return
-        search, line.search = line.search, None  # before it may raise: a failed search is not kept
+        search, line.search = line.search, None  # before `result` may raise: a failed search is made anew
         contacts = search.result()
         if contacts is not None and contacts.sequence != line.contacts_sequence:
             line.contacts_sequence, line.contacts_timer.due = contacts.sequence, now + CONTACTS_S
