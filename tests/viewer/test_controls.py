@@ -200,6 +200,7 @@ def test_a_tare_asks_where_the_array_is_loaded(rig, page):
 def test_on_a_phone_a_tap_reads_a_map_a_swipe_scrolls_and_the_help_begins_at_its_top(rig, url, open_page):
     rig.show(pressed())
     page = open_page(url, **TOUCH)
+    page.locator("#restored-caption", has_text="peak").wait_for()
     (hint,) = page.text("probe")
     frame = page.box("#raw")
     x, y = frame["x"] + frame["width"] / 2, frame["y"] + frame["height"] / 2

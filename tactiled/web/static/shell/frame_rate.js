@@ -3,7 +3,19 @@
 /** @import { Frame } from "../wire/frame_history.js" */
 
 const MAX_CLOCK_OFFSET_S = 0.25; // that the browser's and the service's clocks may differ and still be compared
+export const LATE_MS = 1000; // from a frame to the screen: from here on the page says so
 const MAX_TIMES = 128; // paintings, more than a second's
+
+/** @param {number} skew s @returns {boolean} it is more than clocks that may be compared have */
+const doDiffer = (skew) => Number.isFinite(skew) && Math.abs(skew) > MAX_CLOCK_OFFSET_S;
+
+/**
+ * @param {number} timestamp Unix s by the service's clock, of a frame's first bus message
+ * @param {number} skew s, the least of (arrival - sent)
+ * @param {number} at Unix s by this browser's clock
+ * @returns {number} ms from that message until then
+ */
+export const latencyOf = (timestamp, skew, at) => (at - timestamp - (doDiffer(skew) ? skew : 0)) * 1000;
 
 export class FrameRate {
   constructor() {
@@ -31,13 +43,12 @@ export class FrameRate {
     this.painted += 1;
     const at = Date.now() / 1000;
     this._skew = skew;
-    const way = at - frame.sent - (this.clocksDiffer ? this._skew : 0);
-    this.latency = (way + frame.sent - frame.timestamp) * 1000;
+    this.latency = latencyOf(frame.timestamp, skew, at);
   }
 
   /** @returns {boolean} the two clocks are too far apart to compare, and the way over the network is left out */
   get clocksDiffer() {
-    return Number.isFinite(this._skew) && Math.abs(this._skew) > MAX_CLOCK_OFFSET_S;
+    return doDiffer(this._skew);
   }
 
   /** @returns {number} s that this browser's clock is off the service's; 0 where they agree */

@@ -2,6 +2,7 @@
 
 import { ContactTable } from "../maps/contact_table.js";
 import { byId, setText } from "./dom.js";
+import { LATE_MS } from "./frame_rate.js";
 import { fixed, number, positionText } from "./format.js";
 import { ACROSS } from "../maps/geometry.js";
 import { CONNECTING } from "./health.js";
@@ -20,7 +21,6 @@ import { BAD, BELOW_ZERO, DEAD, FAULTY, MISSING, OUT_OF_RANGE, SATURATED, SHEAR 
 
 const FLAG_NAMES = /** @type {const} */ ([[DEAD, "dead"], [BAD, "bad"], [MISSING, "missing"], [SATURATED, "saturated"], [OUT_OF_RANGE, "beyond the calibrated range"], [FAULTY, "faulty"], [BELOW_ZERO, "far below zero"]]);
 const PILL_TEXTS = { live: "live", down: "bus down", connecting: "connecting", disconnected: "disconnected", silent: "silent", stale: "stale", ended: "end of recording", playback: "recording" };
-const LATE_MS = 1000; // from a frame to the screen: from here on the page says so beside *live*
 const CURRENT_LEVELS = new Set(["live", "ended", "playback"]); // at which what is shown is what it should be
 const HINTS = { flat: "Point at a map to read it, click to pin (rows, columns from 0).", surface: "Drag to turn, or use the arrow keys on a surface." };
 /** @type {Health} */

@@ -4,6 +4,7 @@ import * as api from "../wire/api.js";
 import { DisplayRange } from "../maps/display_range.js";
 import { element, setText } from "./dom.js";
 import { fixed } from "./format.js";
+import { LATE_MS, latencyOf } from "./frame_rate.js";
 import { Freshness } from "./freshness.js";
 import { Plane, isImageOf } from "../maps/geometry.js";
 import { CONNECTING, healthOf } from "./health.js";
@@ -82,6 +83,7 @@ export class Tile {
     this._values = new Float32Array(0);
     this._shear = new Float32Array(0);
     this._timestamp = NaN;
+    this._latency = NaN; // ms, of the image that is painted
     /** @type {Plane|null} */
     this._plane = null;
     this._part = streams.part(name, {
@@ -188,6 +190,7 @@ export class Tile {
   _takePressures(image, plane) {
     this._values.set(image.values);
     this._sent = image.sent;
+    this._timestamp = image.timestamp;
     this._sequence = image.sequence;
     this._freshness.arrived(image.sent, Date.now() / 1000);
     this._imageAt = performance.now();
@@ -246,7 +249,10 @@ export class Tile {
     if (!this._fresh && !(rescaled && this._imageAt)) return;
     this._map.paint(this._values, range, colormap);
     this._arrows?.draw(this._shear, this._timestamp);
-    if (this._fresh) this._freshness.painted();
+    if (this._fresh) {
+      this._latency = latencyOf(this._timestamp, this._freshness.minDelay, Date.now() / 1000);
+      this._freshness.painted();
+    }
     this._fresh = this._unpainted = false;
     this._request();
   }
@@ -258,7 +264,8 @@ export class Tile {
     const live = health.level === "live";
     if (this.element.dataset.level !== health.level) this.element.dataset.level = health.level;
     this._warn(live ? this._warnings : []);
-    setText(this._state, live ? `${fixed(this._status?.rate_hz ?? NaN, 0)} Hz` : health.level === "down" ? "bus down" : health.level === "ended" ? "end of recording" : health.level);
+    const late = this._latency > LATE_MS ? `, ${fixed(this._latency / 1000, 1)} s late` : "";
+    setText(this._state, live ? `${fixed(this._status?.rate_hz ?? NaN, 0)} Hz${late}` : health.level === "down" ? "bus down" : health.level === "ended" ? "end of recording" : health.level);
     if (!this._plane || (live && this._freshness.heldBack)) return;
     setText(this._force, live || health.level === "ended" ? this._imageAt ? forceText(this._of.force, this.unit) : "\u2013" : health.text);
   }
