@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import RectBivariateSpline
+from scipy.ndimage import map_coordinates, spline_filter
 
 from tactiled.calibrate.cover.presses import Press
 from tactiled.cover.kernel import solve
@@ -36,15 +36,21 @@ class World:
         self.array = array
         piece = 0.02 * array.pitch
         reach = float(np.ptp(array.positions, axis=0).max()) + 3 * array.pitch
-        at = np.arange(0, reach, min(0.08 * stack.depth, 0.1 * array.pitch))
+        self._step = min(0.08 * stack.depth, 0.1 * array.pitch)
+        at = np.arange(0, reach, self._step)
         table = _response(solve(stack, model), array, piece, at, at) / piece**2
-        self._table, self._reach = RectBivariateSpline(at, at, table), at[-1]
+        self._table, self._reach = spline_filter(table, mode="mirror"), at[-1]
         self._near, self._panel = min(10 * stack.depth + 2 * array.pitch, self._reach), stack.depth
+
+    def _at(self, down, across):
+        """Response (n,) of a taxel to a force so far away from it, mm: it is even in both."""
+        at = np.abs([down, across]) / self._step
+        return map_coordinates(self._table, at, mode="mirror", prefilter=False)
 
     def sensed(self, places, forces):
         """Pressures (N,) under forces (n,) in kPa mm^2 at places (n, 2)."""
         offsets = np.abs(self.array.positions[:, None] - places[None])
-        values = self._table.ev(*np.minimum(offsets, self._reach)[..., ::-1].reshape(-1, 2).T)
+        values = self._at(*np.minimum(offsets, self._reach)[..., ::-1].reshape(-1, 2).T)
         return values.reshape(offsets.shape[:2]) @ forces
 
     def tip(self, radius, place, sphere=False):
@@ -77,7 +83,7 @@ class World:
         pressure = np.zeros(self.array.size)
         for taxel, (right, down) in enumerate(positions):
             near = (np.abs(x - right) < self._near) & (np.abs(y - down) < self._near) & (force != 0)
-            pressure[taxel] = self._table.ev(np.abs(y[near] - down), np.abs(x[near] - right)) @ force[near]
+            pressure[taxel] = self._at(y[near] - down, x[near] - right) @ force[near]
         return PEAK_KPA * pressure
 
     def places(self, count, random, inside=1.5):
