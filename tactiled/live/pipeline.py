@@ -5,7 +5,7 @@ from dataclasses import replace
 from functools import cached_property
 from math import inf
 from operator import call
-from time import monotonic, thread_time
+from time import monotonic
 
 import numpy as np
 
@@ -18,6 +18,7 @@ from tactiled.core import readings
 from tactiled.diagnostics.warning_codes import warning
 from tactiled.frames import FrameWarning, Image, RawFrame, StageTimes
 from tactiled.geometry import tiling
+from tactiled.live.budget import Deadline
 from tactiled.live.cover_monitor import CoverMonitor
 from tactiled.live.noise import Noise
 from tactiled.live.tare import TARE_FRAMES, Tare
@@ -213,20 +214,3 @@ class Pipeline:
             noise = max(noise, estimate(pressure))
         means = [self.calibrator.pressure(each) for each in blocks(counts)]
         return load_description(means, noise, self._plan.unit, own_noise(pressure, noise))
-
-
-class Deadline:
-    """Whether a thread's processor time for an image is over.
-
-    It is so before a step that would end too late if it took as long as the one before.
-    """
-
-    def __init__(self, budget_s: float) -> None:
-        self._last = thread_time()
-        self._end = self._last + budget_s
-
-    def __call__(self) -> bool:
-        """Whether to stop now; asked before every step."""
-        now = thread_time()
-        step, self._last = now - self._last, now
-        return now + step > self._end

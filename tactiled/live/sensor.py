@@ -15,6 +15,7 @@ from tactiled.contacts.detection import Contact
 from tactiled.errors import LoadedError, NoShearError, NotLiveError, TareStateError
 from tactiled.frames import FrameWarning, Image, RawFrame
 from tactiled.geometry import tiling
+from tactiled.live.budget import budget_share, default_budget_s
 from tactiled.live.contact_search import ContactSearch
 from tactiled.live.hand_over import HandOver
 from tactiled.live.history import History
@@ -24,10 +25,6 @@ from tactiled.live.region_monitor import RegionMonitor
 from tactiled.live.status import Health, State, Status
 from tactiled.live.timings import Timings
 from tactiled.threads import FRAME_LOCK, run_on_thread
-
-MAX_BUDGET_S = 1e-3  # for restoring a frame, unless it is configured
-BUDGET_SHARE = 0.1  # of the time from frame to frame, the same
-MAX_SHARES = 0.4  # of all sensors of a service together
 
 
 class Sensor:
@@ -48,7 +45,7 @@ class Sensor:
         self.regions = RegionMonitor(lambda: self.plan.cells)
         self.health = Health(clock)
         self.hand_over = HandOver(self.name, self._restore_in_time)
-        self.budget_share = BUDGET_SHARE  # set by the service, from the number of its sensors
+        self.budget_share = budget_share(1)  # set by the service, from the number of its sensors
         self.former: tuple[CalibrationFile, ...] = ()  # the newest first; those that were not written
         self._tracking = ContactSearch(plan.name, self.hub, plan.array, plan.cells, self.deviation)
         self._between_frames = threading.Lock()  # is held while a frame is processed
@@ -197,8 +194,7 @@ class Sensor:
         """Time for restoring a frame."""
         if self.plan.budget_s is not None:
             return self.plan.budget_s
-        period_s = self.health.period_s
-        return min(self.budget_share * period_s, MAX_BUDGET_S) if period_s else MAX_BUDGET_S
+        return default_budget_s(self.health.period_s, self.budget_share)
 
     def _publish(self, frame: RawFrame, budget_s: float, came: tuple[float, float]) -> None:
         """Publish one image; a frame that cannot be restored ends neither the thread nor the service.

@@ -29,11 +29,12 @@ from tactiled.errors import (
     TactileError,
     UnknownSensorError,
 )
+from tactiled.live.budget import budget_share
 from tactiled.live.bus_thread import BusThread
 from tactiled.live.events import Events, Faults, duration
 from tactiled.live.kept_regions import KeptRegions
 from tactiled.live.reload import Reload, compare, new_plans
-from tactiled.live.sensor import BUDGET_SHARE, MAX_SHARES, Sensor
+from tactiled.live.sensor import Sensor
 from tactiled.live.state_file import KeptTare, StateFile
 from tactiled.live.watch import Watch
 from tactiled.restore.methods import METHODS, OLD_NAMES, named
@@ -256,7 +257,7 @@ class Service:
     def _share_time(self) -> None:
         """Give every sensor its share of the time for restoring: all together do not fill a core."""
         for each in self.sensors.values():
-            each.budget_share = min(BUDGET_SHARE, MAX_SHARES / len(self.sensors))
+            each.budget_share = budget_share(len(self.sensors))
 
     def turns(self) -> dict[str, int | None]:
         """Turns by now of every thread that must move, by its name; None for one that waits for work."""

@@ -14,7 +14,7 @@ from tactiled.bench.results import machine
 from tactiled.bench.scenes import PEAK_KPA
 from tactiled.bench.skin import rubber, sense
 from tactiled.cli.bench import print_table
-from tactiled.live.pipeline import Deadline
+from tactiled.live.budget import Deadline
 from tactiled.restore.methods import make
 from tests.bench.held_out_scenes import HELD_OUT_SCENES, MOTIONS, held_out
 from tests.bench.judge import NOISES, THICKNESSES

@@ -15,9 +15,8 @@ from tactiled.diagnostics.checks import CHECK_EVERY_FRAMES, CHECKS_IN_A_ROW
 from tactiled.diagnostics.warning_codes import warning
 from tactiled.frames import BAD, BELOW_ZERO, DEAD, FAULTY, MISSING, SATURATED, FrameWarning
 from tactiled.geometry import grid, tiling
-from tactiled.live import pipeline as module
 from tactiled.live.noise import NOISE_FRAMES
-from tactiled.live.pipeline import Deadline, Pipeline
+from tactiled.live.pipeline import Pipeline
 from tactiled.live.tare import TARE_FRAMES, TARE_S
 from tactiled.recorded.offline import Offline
 from tactiled.recorded.playback import Playback
@@ -485,15 +484,3 @@ def test_a_taxel_found_faulty_is_flagged_and_restored_from_its_neighbours_and_su
     other.take_over(pipeline)
     assert other.monitor.state.faults[3 * SIDE + 3] == Fault.STUCK
     assert other.process(frame(n, counts)).flags[3, 3] == FAULTY
-
-
-def test_a_step_that_would_end_after_the_deadline_does_not_begin(monkeypatch):
-    now = 5.0
-    monkeypatch.setattr(module, "thread_time", lambda: now)
-    deadline, stops = Deadline(1.0), []
-    for step in (0.1, 0.3, 0.25, 0.1, 0.2):  # s; the time is 0.1, 0.4, 0.65, 0.75, 0.95 s
-        now += step
-        stops.append(deadline())
-    assert stops == [False, False, False, False, True]
-    now += 0.5
-    assert deadline()
