@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from tactiled.restore.modes import Floats
+from tactiled.arrays import Floats
 
 
 class Aliasing:

@@ -9,9 +9,9 @@ from math import sqrt
 
 import numpy as np
 
+from tactiled.arrays import Floats, Floats32
 from tactiled.restore import learned
 from tactiled.restore.deviation import deviation, learned_deviation, raw_deviation
-from tactiled.restore.modes import Floats, Image
 from tactiled.restore.noise import detection_threshold
 from tactiled.restore.points import LEARNED_SPREAD_CELLS, TOO_THIN, Points
 from tactiled.restore.scene import Restored, Scene, pressed_noise_gain
@@ -73,13 +73,13 @@ class Auto:
             return learned_deviation(self._scene, self._sharp)
         return deviation(self._scene, None if self._last is self._idle else self._last.image)
 
-    def is_idle(self, y: Image) -> bool:
+    def is_idle(self, y: Floats32) -> bool:
         """Whether a frame is noise and nothing else: peak, trough and sum stay within what noise does."""
         if self._scene.high > self._peak or self._scene.low < -self._peak:
             return False
         return abs(float(self._taxel_ones.dot(y.reshape(-1)))) < self._sum
 
-    def __call__(self, y: Image) -> Restored:
+    def __call__(self, y: Floats32) -> Restored:
         """Restore a frame without gaps."""
         if self.is_idle(y):
             self._scene.look_at_nothing()
@@ -89,7 +89,7 @@ class Auto:
             self._last = self._restored(y)
         return self._last
 
-    def _restored(self, y: Image) -> Restored:
+    def _restored(self, y: Floats32) -> Restored:
         filter_, resolution = self._wiener.filter(), self._scene.resolution()
         spared = self._spared(filter_) if self._unrefined else 1.0
         if spared < RAW_WORTH:

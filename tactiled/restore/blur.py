@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
 
+from tactiled.arrays import Floats, Floats32
 from tactiled.restore.aliasing import Aliasing
-from tactiled.restore.modes import Floats, Image, Modes, SumOfProducts, grid_modes, matrix_modes
+from tactiled.restore.modes import Modes, SumOfProducts, grid_modes, matrix_modes
 from tactiled.restore.point_response import PointResponse
 
 RANK_TOLERANCE = 1e-7  # of the largest separable part: float32 loses smaller ones anyway
@@ -57,7 +58,7 @@ class Blur:
         return None
 
     @cached_property
-    def reach(self) -> Image:
+    def reach(self) -> Floats32:
         """H' 1: how much of each surface cell's pressure the taxels get to feel."""
         return np.asarray(self.adjoint(np.ones(self.frame_shape)), np.float32)
 

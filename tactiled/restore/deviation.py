@@ -4,16 +4,16 @@ from math import sqrt
 
 import numpy as np
 
+from tactiled.arrays import Floats, Floats32
 from tactiled.restore.blur import THICKNESS_ERROR
 from tactiled.restore.learned import Learned
-from tactiled.restore.modes import Floats, Image
 from tactiled.restore.scene import Scene
 from tactiled.restore.wiener import Wiener, wiener_weight
 
 MISPLACED = 0.5  # pitches that a small spot may be from where it is drawn, and the share of it
 
 
-def deviation(scene: Scene, image: Image | None = None) -> Floats:
+def deviation(scene: Scene, image: Floats32 | None = None) -> Floats:
     """Give it for an image of the scene, the linear one or any that knows more.
 
     Of the noise, of what the filter leaves out, and of the model: pressure finer than the grid, and a cover known
@@ -43,7 +43,7 @@ def deviation(scene: Scene, image: Image | None = None) -> Floats:
     return np.asarray(spread, float)
 
 
-def _slope_in_thickness(scene: Scene, image: Image) -> Floats:
+def _slope_in_thickness(scene: Scene, image: Floats32) -> Floats:
     """How much a filtered `image` changes with the logarithm of the thickness under which it was sensed."""
     modes = scene.modes
     analyse, synthesise = modes.to_surface_modes(), modes.head_to_surface()

@@ -3,9 +3,9 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from tactiled.arrays import Floats, Floats32
 from tactiled.frames import SATURATED, UNKNOWN
 from tactiled.restore.kriging import Gaps
-from tactiled.restore.modes import Floats, Image
 from tactiled.restore.noise import IMPLAUSIBLE_KPA
 from tactiled.restore.prior import Spectrum
 from tactiled.restore.scene import Scene
@@ -42,7 +42,7 @@ class Inpainter:
         self.weighs = bool(self._noisy.any())
         self._own = np.asarray(1 / np.where(self._noisy, ratio**2 - 1, 1), np.float32)  # D
 
-    def mask(self, frame: NDArray[np.float32], flags: NDArray[np.uint8] | None) -> Image:
+    def mask(self, frame: NDArray[np.float32], flags: NDArray[np.uint8] | None) -> Floats32:
         """Give the frame, unknown taxels at 0, noisy ones scaled to the noise of most; note which are unknown."""
         self._unknown[...] = ~(np.abs(frame) < IMPLAUSIBLE_KPA)
         self._bounded[...] = False
@@ -57,7 +57,7 @@ class Inpainter:
         """Whether the frame just masked has no taxel that is known."""
         return bool(self._unknown.all())
 
-    def fill(self) -> Image:
+    def fill(self) -> Floats32:
         """Give the frame just masked, unknown and noisy taxels inferred, saturated ones not below their values."""
         lost = self._unknown | self._bounded
         self._frame[...] = self._reading
@@ -76,19 +76,19 @@ class Inpainter:
         gaps = Gaps(self._missing, self._weight.astype(float), self._roughness().astype(float))
         return self._scene.unfelt(self._spectrum, gaps)
 
-    def _infer(self, spectrum: Spectrum, D: Image) -> None:
+    def _infer(self, spectrum: Spectrum, D: Floats32) -> None:
         missing, precise = self._missing, self._scene.kriging.precise
         self._frame[missing] = 0
         right = D * self._reading[missing] - precise(self._frame, spectrum)[missing]
 
-        def system(v: Image) -> Image:
+        def system(v: Floats32) -> Floats32:
             spread = np.zeros(self._frame.shape, np.float32)
             spread[missing] = v
             return np.asarray(precise(spread, spectrum)[missing] + D * v)
 
         self._frame[missing] = conjugate_gradients(system, right, MAX_ITERATIONS)
 
-    def _roughness(self) -> Image:
+    def _roughness(self) -> Floats32:
         """Mean square by which others mispredict the taxels around each (taxels' shape), over what it is by S.
 
         Taxel i differs by (Q y)_i / Q_ii from what all others say of it, which has the variance sigma^2 / Q_ii.

@@ -18,9 +18,10 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from tactiled.arrays import Floats, Floats32
 from tactiled.core import surface
 from tactiled.restore.blur import Blur
-from tactiled.restore.modes import Floats, Image, Modes, Transform
+from tactiled.restore.modes import Modes, Transform
 from tactiled.restore.pressed import Box
 from tactiled.restore.prior import Kept, Spectrum, kept
 
@@ -36,7 +37,7 @@ class Kriging(Protocol):
 
     bases: tuple[Floats, ...]  # orthonormal, along each axis of the array's frames: how rough they are
 
-    def __call__(self, y: Image, spectrum: Spectrum, box: Box | None = None) -> Image:
+    def __call__(self, y: Floats32, spectrum: Spectrum, box: Box | None = None) -> Floats32:
         """Give the full frame; `y` is one of the array, without gaps. Valid until the next.
 
         What lies beyond a `box` that everything that presses is in may be taken to read zero.
@@ -48,13 +49,13 @@ class Kriging(Protocol):
     def amplifications(self, ratios: Floats) -> Floats:
         """Give the most by which the linear image amplifies what taxels feel, by each of many S (K, R, C)."""
 
-    def precise(self, y: Image, spectrum: Spectrum) -> Image:
+    def precise(self, y: Floats32, spectrum: Spectrum) -> Floats32:
         """Give what is left of each taxel's reading that the others do not say, over its variance: C^-1 y."""
 
     def precision(self, spectrum: Spectrum) -> Floats:
         """Give the diagonal of C^-1, of the frame's shape."""
 
-    def smooth(self, y: Image) -> Image:
+    def smooth(self, y: Floats32) -> Floats32:
         """Give a mean of what is around each taxel."""
 
     def unfelt(self, spectrum: Spectrum, gaps: "Gaps | None" = None) -> Floats:
@@ -84,12 +85,12 @@ class Part(Kriging):
         self._there = np.zeros(shape, bool)
         self._there[self._own] = True
         self._missing, self._known = np.flatnonzero(~self._there), np.flatnonzero(self._there)
-        self._frame: Image = np.zeros(shape, np.float32)
-        self._around: Image = np.zeros(shape, np.float32)
+        self._frame: Floats32 = np.zeros(shape, np.float32)
+        self._around: Floats32 = np.zeros(shape, np.float32)
         self._inside = self._frame[self._own]
         self._beyond, self._whole = np.divmod(self._missing, shape[-1]), (0, shape[0], 0, shape[-1])
         arrays = self._there, modes.gain, *modes.taxel, modes.frequency, gain_variance
-        self._matrices: Kept[tuple[Image, Floats]] = kept("part", *arrays)
+        self._matrices: Kept[tuple[Floats32, Floats]] = kept("part", *arrays)
         whole = not len(self._missing)
         sides = zip(modes.taxel, blur.frame_shape, strict=True)
         self.bases = tuple(U if whole else _cosines(n) for U, n in sides)
@@ -101,7 +102,7 @@ class Part(Kriging):
         waves = modes.frequency[modes.head] * ROUGHNESS_TAXELS * blur.surface_shape[0] / blur.frame_shape[0]
         self._low_pass = np.asarray(np.exp(-2 * (np.pi * waves) ** 2), np.float32)
 
-    def __call__(self, y: Image, spectrum: Spectrum, box: Box | None = None) -> Image:
+    def __call__(self, y: Floats32, spectrum: Spectrum, box: Box | None = None) -> Floats32:
         """Give the full frame; `y` is one of the array, without gaps. Valid until the next."""
         if not len(self._missing):
             return y
@@ -123,7 +124,7 @@ class Part(Kriging):
         S = ratios[self._modes.head]
         return np.asarray((self._modes.gain * S / self._variance(ratios)).max(axis=(1, 2)))
 
-    def precise(self, y: Image, spectrum: Spectrum) -> Image:
+    def precise(self, y: Floats32, spectrum: Spectrum) -> Floats32:
         """Give C^-1 y."""
         spectrum = self._shared(spectrum)
         return self._apply(np.asarray(1 / self._variance(spectrum.ratio), np.float32), self(y, spectrum))
@@ -137,7 +138,7 @@ class Part(Kriging):
             diagonal += self._matrix(spectrum)[1].reshape(diagonal.shape)
         return np.asarray(diagonal)
 
-    def smooth(self, y: Image) -> Image:
+    def smooth(self, y: Floats32) -> Floats32:
         """Give a mean of what is around each taxel."""
         self._around[self._own] = y
         return self._apply(self._low_pass, self._around)
@@ -161,7 +162,7 @@ class Part(Kriging):
             variance += synthesise(np.asarray(weight * error, np.float32), synthesise.empty()) ** 2
         return variance
 
-    def _apply(self, values: Image, frame: Image) -> Image:
+    def _apply(self, values: Floats32, frame: Floats32) -> Floats32:
         """The array's own part of U diag(values) U' of a full frame, valid until the next call."""
         self._analyse(frame, self._coefficients)
         np.multiply(self._coefficients, values, out=self._coefficients)
@@ -178,10 +179,10 @@ class Part(Kriging):
             return spectrum
         return replace(spectrum, level=LEVEL_STEP ** round(log(spectrum.level, LEVEL_STEP)))
 
-    def _matrix(self, spectrum: Spectrum) -> tuple[Image, Floats]:
+    def _matrix(self, spectrum: Spectrum) -> tuple[Floats32, Floats]:
         """-Q_mm^-1 Q_mk of a spectrum, and by how much Q_kk's diagonal is lower as the others are not there."""
 
-        def make() -> tuple[Image, Floats]:
+        def make() -> tuple[Floats32, Floats]:
             (U, V), shape = self._modes.taxel, self._modes.gain.shape
             patterns = _patterns(self._modes, ~self._there) / self._variance(spectrum.ratio).ravel()
             Q = (U @ patterns.reshape(-1, *shape) @ V.T).reshape(len(patterns), -1)
@@ -216,14 +217,14 @@ class Anywhere(Kriging):
             self.bases = (E,)
         self._shares, self._noise_shares = (E.T @ self._a) ** 2, (E.T @ self._r) ** 2
         arrays = felt, modes.gain, *modes.taxel, *modes.surface, modes.frequency, gain_variance
-        self._matrices: Kept[Image] = kept("frame", *arrays)
-        self._inverses: Kept[Image] = kept("inverse", *arrays)
+        self._matrices: Kept[Floats32] = kept("frame", *arrays)
+        self._inverses: Kept[Floats32] = kept("inverse", *arrays)
 
-    def __call__(self, y: Image, spectrum: Spectrum, box: Box | None = None) -> Image:
+    def __call__(self, y: Floats32, spectrum: Spectrum, box: Box | None = None) -> Floats32:
         """Give the full frame; `y` is one of the array, without gaps. Valid until the next."""
         del box
 
-        def make() -> Image:
+        def make() -> Floats32:
             S, (U, V) = spectrum.ratio.ravel(), self._modes.taxel
             weighted = (self._inverse(spectrum) @ self._r) * ((self._h**2 + self._gain_variance) * S + 1)
             matrix = (U @ weighted.reshape(-1, *self._frame.shape) @ V.T).reshape(len(weighted), -1)
@@ -243,7 +244,7 @@ class Anywhere(Kriging):
         S = ratios.reshape(len(ratios), -1)
         return np.asarray((self._h * S / ((self._h**2 + self._gain_variance) * S + 1)).max(axis=1))
 
-    def precise(self, y: Image, spectrum: Spectrum) -> Image:
+    def precise(self, y: Floats32, spectrum: Spectrum) -> Floats32:
         """Give C^-1 y."""
         return np.asarray((self._inverse(spectrum) @ y.reshape(-1)).reshape(y.shape), np.float32)
 
@@ -251,7 +252,7 @@ class Anywhere(Kriging):
         """Give the diagonal of C^-1, of the frame's shape."""
         return np.asarray(self._inverse(spectrum).diagonal().reshape(self._shape), float)
 
-    def smooth(self, y: Image) -> Image:
+    def smooth(self, y: Floats32) -> Floats32:
         """Give a mean of what is around each taxel."""
         return np.asarray((self._weights @ y.reshape(-1)).reshape(y.shape))
 
@@ -276,7 +277,7 @@ class Anywhere(Kriging):
     def _inverse(self, spectrum: Spectrum) -> NDArray[Any]:
         """C^-1 of the array's frames."""
 
-        def make() -> Image:
+        def make() -> Floats32:
             S = spectrum.ratio.ravel()
             C = (
                 (self._a * S) @ self._a.T

@@ -13,9 +13,9 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
+from tactiled.arrays import Floats, Floats32
 from tactiled.core import network
 from tactiled.restore.blur import Blur
-from tactiled.restore.modes import Floats, Image
 from tactiled.restore.scene import Scene
 from tactiled.restore.wiener import Wiener
 
@@ -35,13 +35,13 @@ MIN_SIDE = 6  # taxels, with those beyond the border
 class Weights(NamedTuple):
     """What was trained, float32; S stages of F filters, conditions c of Learned."""
 
-    redraw: Image  # (S, F, 9 INPUTS): kernels of the filters
-    draw: Image  # (S, 9, F): kernels that their outputs are drawn with
-    doubt: Image  # (9, F): the same for the logarithm of the last image's deviation
-    hidden: Image  # (c + 1, m): of the conditions, and a constant
-    tune: Image  # (m + 1, S (2 F + 1) + 1): each stage's scales, offsets and firmness; the doubt's
-    lowest: Image  # (c,) of the conditions in training
-    highest: Image  # (c,)
+    redraw: Floats32  # (S, F, 9 INPUTS): kernels of the filters
+    draw: Floats32  # (S, 9, F): kernels that their outputs are drawn with
+    doubt: Floats32  # (9, F): the same for the logarithm of the last image's deviation
+    hidden: Floats32  # (c + 1, m): of the conditions, and a constant
+    tune: Floats32  # (m + 1, S (2 F + 1) + 1): each stage's scales, offsets and firmness; the doubt's
+    lowest: Floats32  # (c,) of the conditions in training
+    highest: Floats32  # (c,)
 
 
 @cache
@@ -67,7 +67,7 @@ def cover_gains(blur: Blur) -> NDArray[np.float32]:
     return np.asarray(np.sqrt(np.maximum(gain[tuple(at)], MIN_GAIN)), np.float32)
 
 
-def cell_maps(scene: Scene) -> Image:
+def cell_maps(scene: Scene) -> Floats32:
     """Give (2, R, C): what taxels feel of each cell's pressure, over the most; 1 where it is the array's."""
     wide, shape = scene.array.wide, scene.blur.surface_shape
     felt = scene.cell_reach if wide is None or wide.felt is None else wide.felt.sum(axis=0).reshape(shape)
@@ -122,7 +122,7 @@ class Learned:
     def prepare(self) -> None:
         """Nothing is needed beforehand."""
 
-    def __call__(self, linear: Image) -> int:
+    def __call__(self, linear: Floats32) -> int:
         """Restore from the linear image; gives the stages run."""
         scene = self._scene
         self._scale = self._conditions(self._wiener)
@@ -135,7 +135,7 @@ class Learned:
         doubts = np.minimum(self._stages.doubts(self._images), MAX_DOUBT)
         return np.asarray(self._scale * np.exp(doubts.astype(float)))
 
-    def _run(self, linear: Image) -> int:
+    def _run(self, linear: Floats32) -> int:
         """Make the image from the linear one; gives the number of stages, 0 if time is over."""
         scene, stages, noise = self._scene, self._stages, self._scene.noise / self._scale
         stages.tune(self._conditions.values)
@@ -153,7 +153,7 @@ class Learned:
 
 
 @lru_cache(maxsize=16)  # of the arrays in use: alike ones share what is much larger than their images
-def _drawn(shape: tuple[int, ...], maps: bytes) -> tuple[Image, Image]:
+def _drawn(shape: tuple[int, ...], maps: bytes) -> tuple[Floats32, Floats32]:
     """Give the kernels of the filters for a stage's images, and what they draw from the array's maps."""
     trained, (_, rows, columns) = weights(), shape
     stages, filters = trained.redraw.shape[:2]
@@ -168,7 +168,7 @@ def _drawn(shape: tuple[int, ...], maps: bytes) -> tuple[Image, Image]:
 class Stages:
     """What was trained, in the order of memory that redraws fast, for an array's `maps` (see cell_maps)."""
 
-    def __init__(self, maps: Image) -> None:
+    def __init__(self, maps: Floats32) -> None:
         self._trained = trained = weights()
         stages, filters = trained.redraw.shape[:2]
         self.kernels, self.fixed = _drawn(maps.shape, maps.tobytes())
@@ -182,7 +182,7 @@ class Stages:
         trained = self._trained
         network.tune(conditions, trained.lowest, trained.highest, trained.hidden, trained.tune, self._tuned)
 
-    def doubts(self, images: Image) -> Image:
+    def doubts(self, images: Floats32) -> Floats32:
         """Give the logarithm of the deviation (R, C) of what the last stage made of its images."""
         filters, out = self.kernels.shape[-1], np.empty(images.shape[1:], np.float32)
         scales, offsets = self.tuned[-1, :filters], self.tuned[-1, filters:-1]

@@ -7,13 +7,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from tactiled.arrays import Floats, Floats32
 from tactiled.errors import ConfigError
 from tactiled.restore import learned
 from tactiled.restore.auto import LOADS, Auto
 from tactiled.restore.blur import Blur
 from tactiled.restore.deviation import deviation, learned_deviation, raw_deviation
 from tactiled.restore.inpaint import Inpainter
-from tactiled.restore.modes import Floats, Image
 from tactiled.restore.noise import IMPLAUSIBLE_KPA
 from tactiled.restore.nonnegative import Nonnegative
 from tactiled.restore.points import Points
@@ -80,7 +80,7 @@ class Restorer:
             return done
         return Restored(self._scene.inside(done.image), *done[1:])
 
-    def predicted(self) -> Image:
+    def predicted(self) -> Floats32:
         """Give what the taxels (kPa, their shape) feel of what was restored last, beyond the array too."""
         array, last = self._scene.array, self.surface
         if array.wide is None or last.shape == self._shape:
@@ -91,7 +91,7 @@ class Restorer:
         """Standard deviation (kPa) of every cell of the image last restored; NaN if no taxel had data."""
         return self._scene.inside(self.whole()[1])
 
-    def whole(self) -> tuple[Image, Floats]:
+    def whole(self) -> tuple[Floats32, Floats]:
         """Give the image last restored with what lies beyond the array, and its deviation (kPa).
 
         Both are NaN beyond if the method leaves that open, the deviation all over if no taxel had data.
@@ -134,15 +134,15 @@ class Linear:
 
     def __init__(self, scene: Scene) -> None:
         self._scene, self._wiener = scene, Wiener(scene)
-        self._image: Image | None = None  # the last
+        self._image: Floats32 | None = None  # the last
 
-    def __call__(self, y: Image) -> Restored:
+    def __call__(self, y: Floats32) -> Restored:
         """Restore a frame without gaps."""
         self._scene.look(y)
         image = self._wiener()
         return self._done(image, "wiener", 0, self._wiener.noise_gain)
 
-    def _done(self, image: Image, name: str, iterations: int, gain: float, why: str = BY_HAND) -> Restored:
+    def _done(self, image: Floats32, name: str, iterations: int, gain: float, why: str = BY_HAND) -> Restored:
         self._image = image
         return Restored(image, name, why, iterations, gain, self._scene.resolution())
 
@@ -150,7 +150,7 @@ class Linear:
         """Make now what any frame may need, so that none has to wait for it."""
         self._scene.prepare(self._wiener.filter)
 
-    def is_idle(self, y: Image) -> bool:
+    def is_idle(self, y: Floats32) -> bool:
         """Whether a frame is noise and nothing else, so that its gaps need not be filled."""
         del y
         return False
@@ -161,7 +161,7 @@ class Linear:
 
 
 class _Raw(Linear):
-    def __call__(self, y: Image) -> Restored:
+    def __call__(self, y: Floats32) -> Restored:
         self._scene.look(y)
         return self._done(self._scene.raw(), "raw", 0, 1.0)
 
@@ -177,7 +177,7 @@ class _RichardsonLucy(Linear):
         super().__init__(scene)
         self._solver = RichardsonLucy(scene, RL_ITERATIONS)
 
-    def __call__(self, y: Image) -> Restored:
+    def __call__(self, y: Floats32) -> Restored:
         self._scene.look(y)
         done = self._solver(self._scene.frame)
         return self._done(self._solver.image, "rl", done, self._wiener.filter().noise_gain)
@@ -193,7 +193,7 @@ class _Nonnegative(Linear):
         elif name == "learned":
             self._solver = learned.Learned(scene, self._wiener)
 
-    def __call__(self, y: Image) -> Restored:
+    def __call__(self, y: Floats32) -> Restored:
         self._scene.look(y)
         done = self._solver(self._wiener())
         gain = pressed_noise_gain(self._scene.inside(self._solver.image), self._wiener.noise_gain)
@@ -217,7 +217,7 @@ class _Points(_Nonnegative):
         super().__init__(scene)
         self._points = Points(scene)
 
-    def __call__(self, y: Image) -> Restored:
+    def __call__(self, y: Floats32) -> Restored:
         done, drawing = super().__call__(y), self._points.drawing
         steps = self._points(y, self._scene.inside(done.image))
         if steps and self._points.loads:

@@ -9,12 +9,9 @@ from dataclasses import dataclass
 from types import EllipsisType
 
 import numpy as np
-from numpy.typing import NDArray
 
+from tactiled.arrays import Floats, Floats32
 from tactiled.core import coefficients
-
-Floats = NDArray[np.float64]
-Image = NDArray[np.float32]
 
 DEPTHS = np.linspace(0, 40, 2001)  # over the wavelength, times 2 pi
 HALF_SPACE = (1 + DEPTHS) * np.exp(-DEPTHS)  # gain, by Boussinesq
@@ -28,7 +25,7 @@ class Transform:
         self.right = np.ascontiguousarray(bases[1].T if len(bases) == 2 else np.eye(1), np.float32)
         self.shape = tuple(len(basis) for basis in bases)
 
-    def __call__(self, x: Image, out: Image) -> Image:
+    def __call__(self, x: Floats32, out: Floats32) -> Floats32:
         """Fill `out` and return it; float32, C-contiguous."""
         if len(self.shape) == 1:
             self.left.dot(x, out)
@@ -36,7 +33,7 @@ class Transform:
             coefficients.transform(self.left, x, self.right, out)
         return out
 
-    def empty(self) -> Image:
+    def empty(self) -> Floats32:
         """Give a buffer for the result."""
         return np.empty(self.shape, np.float32)
 
@@ -51,7 +48,7 @@ class SumOfProducts:
         self._between = np.empty((len(self._lefts), rights[0].shape[0]), np.float32)
         self._stacked = self._between.reshape(len(lefts[0]), -1)
 
-    def __call__(self, x: Image, out: Image) -> Image:
+    def __call__(self, x: Floats32, out: Floats32) -> Floats32:
         """Fill `out` and return it; float32, C-contiguous."""
         self._lefts.dot(x, self._between)
         self._stacked.dot(self._rights, out)

@@ -10,8 +10,9 @@ taxels of a row or column share those that vary along one axis alone. What stand
 import numpy as np
 from scipy.special import chdtri
 
+from tactiled.arrays import Floats, Floats32
 from tactiled.core import coefficients
-from tactiled.restore.modes import Floats, Image, Modes
+from tactiled.restore.modes import Modes
 from tactiled.restore.prior import MAX_AMPLIFICATION
 
 # Chosen on scenes of the first family and on those that the network is trained on.
@@ -44,14 +45,14 @@ class NarrowBand:
         self._down, self._across = down.astype(np.float32), across.astype(np.float32)
         self.weight = np.empty(gain.shape, np.float32)
 
-    def limit(self, expected: Floats) -> Image:
+    def limit(self, expected: Floats) -> Floats32:
         """Give the power of each mode, over that of the noise, above which it stands out of a spectrum.
 
         `expected`: the spectrum's power in the frame, over the noise's.
         """
         return np.asarray(1 + np.maximum(self._clear, expected), np.float32)
 
-    def __call__(self, squares: Image, limit: Image, weight: Image) -> bool:
+    def __call__(self, squares: Floats32, limit: Floats32, weight: Floats32) -> bool:
         """Take in a frame's squared coefficients and a filter; gives whether any mode stands out."""
         of_modes, shared = (self._inverse, self._firm), (self._down, self._across)
         return coefficients.outstanding(

@@ -5,6 +5,8 @@ from math import log, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
+from tactiled.arrays import Floats
+
 IMPLAUSIBLE_KPA = 1e12  # beyond any sensor, and its square still fits float32
 NORMAL_95 = 1.96  # standard deviations to either end of a 95 % interval
 MAD_TO_SIGMA = 1.4826  # a normal deviate's standard deviation over its median absolute deviation
@@ -14,8 +16,6 @@ PRESSED_MEAN = 0.02  # of the mean square is the squared mean, at least, where s
 NOISY_RATIO = 2.0  # to the common noise; of healthy taxels it was 1.5 at most on the tours of `tests.bench health`
 QUIET_RATIO = 1.6  # below which a noisy taxel is so no more
 CHANGED_RATIO = 1.25  # by which a noisy taxel's noise changes before that matters
-
-Floats = NDArray[np.float64]
 
 
 def estimate(frames: NDArray[np.floating]) -> float:

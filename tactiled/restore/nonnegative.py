@@ -4,7 +4,7 @@ from math import inf, pi, prod, sqrt
 
 import numpy as np
 
-from tactiled.restore.modes import Image
+from tactiled.arrays import Floats32
 from tactiled.restore.prior import Spectrum
 from tactiled.restore.scene import Scene
 
@@ -67,7 +67,7 @@ class Nonnegative:
         if self._scene.spectrum not in self._smooth:
             self._smooth[self._scene.spectrum] = Smooth(self._scene)
 
-    def __call__(self, linear: Image) -> int:
+    def __call__(self, linear: Floats32) -> int:
         """Iterate from the linear image until the share of pressed cells has settled; gives how often."""
         scene = self._scene
         np.copyto(self._z, linear)

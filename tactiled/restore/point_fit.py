@@ -4,8 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from tactiled.arrays import Floats, Floats32
 from tactiled.core import points
-from tactiled.restore.modes import Floats, Image
 from tactiled.restore.point_response import PointResponse
 
 # All chosen on the scenes of `python -m tests.bench judge --family first`.
@@ -32,7 +32,7 @@ class Fit(NamedTuple):
     own_variance: Floats  # of these, for a noise of 1
     common_width: float  # square pitches
     common_variance: float  # of that, for a noise of 1
-    left: Image  # (N,) of the frame, valid until the next fit
+    left: Floats32  # (N,) of the frame, valid until the next fit
 
 
 class Fitter:
@@ -47,7 +47,7 @@ class Fitter:
         self._jacobian = np.empty((4 * MAX_POINTS, rows * columns), np.float32)
         self._left = np.empty(rows * columns, np.float32)
 
-    def __call__(self, y: Image, places: Floats) -> Fit | None:
+    def __call__(self, y: Floats32, places: Floats) -> Fit | None:
         """Give the fit that `places` (n, 2) lead to.
 
         Loads of too little force are left out; None where one is of so little at the last places.

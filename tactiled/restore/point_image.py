@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.special import ndtr
 
-from tactiled.restore.modes import Floats
+from tactiled.arrays import Floats
 
 MIN_PLACE_ERROR = 0.05  # pitches: no place is known better than that
 FAR = 1e9  # cells, for infinity, at which a density times its distance would be NaN

@@ -3,8 +3,8 @@
 import numpy as np
 from scipy.interpolate import make_interp_spline
 
+from tactiled.arrays import Floats, Floats32
 from tactiled.core import points
-from tactiled.restore.modes import Floats, Image
 
 PHASES = 64  # places a pitch that are tabulated: half of a step is left to a fit's last, linear step
 RANK_TOLERANCE = 1e-4  # of the largest separable part: smaller ones are dropped
@@ -36,7 +36,7 @@ class PointResponse:
         return float(np.linalg.norm(across) / np.linalg.norm(second))
 
 
-def _table(parts: Floats, n: int, refine: int) -> Image:
+def _table(parts: Floats, n: int, refine: int) -> Floats32:
     """Give values, slopes and curvatures (PHASES, 3, parts, 2n+1) of an axis' factors, offsets n to -n-1."""
     offsets = (np.arange(refine * (2 * n - 1)) - refine * (n - 1) - (refine - 1) / 2) / refine
     degree = min(3, len(offsets) - 1)

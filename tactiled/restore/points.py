@@ -8,8 +8,8 @@ from math import sqrt
 
 import numpy as np
 
+from tactiled.arrays import Floats, Floats32
 from tactiled.core import points
-from tactiled.restore.modes import Floats, Image
 from tactiled.restore.point_fit import MAX_POINTS, Fit, Fitter
 from tactiled.restore.point_image import MIN_PLACE_ERROR, MODEL_ERROR, PointImage, PointLoads
 from tactiled.restore.scene import Scene
@@ -60,7 +60,7 @@ class Points:
         self._model = 0.0  # kPa^2, summed over taxels: what the model may miss this frame by
         self.loads: PointLoads | None = None
 
-    def __call__(self, y: Image, image: Image) -> int:
+    def __call__(self, y: Floats32, image: Floats32) -> int:
         """Fit points to a frame, starting from an image without negative values; gives the steps made, or 0.
 
         A fit is refused if it leaves more than noise, or if a point's place, force or width is uncertain.
@@ -77,7 +77,7 @@ class Points:
         self.loads = self._accepted(self._fitter, fit, y) if fit else None
         return fit.steps if fit and self.loads else 0
 
-    def _peaks(self, image: Image) -> Floats:
+    def _peaks(self, image: Floats32) -> Floats:
         """Places (n, 2) of an image's peaks, in pitches; none if they are too many or too wide."""
         k, places = self._refine, np.empty((MAX_POINTS, 2))
         n, pairs, total, squares, rest = points.peaks(image, k, MAX_REMAINDER, TOUCHING * k, places)
@@ -86,7 +86,7 @@ class Points:
             return NOWHERE
         return places[:n] / k + (0.5 / k - 0.5)
 
-    def _accepted(self, fitter: Fitter, fit: Fit, y: Image) -> PointLoads | None:
+    def _accepted(self, fitter: Fitter, fit: Fit, y: Floats32) -> PointLoads | None:
         """Draw and give what stands of a fit; None where anything is uncertain."""
         noise, free = self._scene.noise**2, max(fit.left.size - 4 * len(fit.force), 1)
         residual = float(fit.left.dot(fit.left))
@@ -118,7 +118,7 @@ class Points:
         widest = float((fit.own + np.sqrt(fit.own_variance * variance)).max())
         return None if widest > PAIR_WIDTH and self._raw_is_near(y) else loads
 
-    def _raw_is_near(self, y: Image) -> bool:
+    def _raw_is_near(self, y: Floats32) -> bool:
         """Whether the raw image may be nearer to the truth than the points just drawn, were one of them two."""
         image, k = self.drawing.image, self._refine
         rows, columns = self._scene.array.frame_shape
@@ -143,7 +143,7 @@ def _neighbours(places: Floats, reach: Floats) -> float:
     return float((apart <= reach[:, None] + reach).sum() / len(places) - 1)
 
 
-def _around(image: Image, middle: Floats) -> Image:
+def _around(image: Floats32, middle: Floats) -> Floats32:
     """Give the taxel at a place and its neighbours, as far as they lie inside."""
     i, j = (min(max(round(at), 0), n - 1) for at, n in zip(middle.tolist(), image.shape, strict=True))
     return image[max(i - 1, 0) : i + 2, max(j - 1, 0) : j + 2]

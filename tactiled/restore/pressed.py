@@ -2,9 +2,9 @@
 
 import numpy as np
 
+from tactiled.arrays import Floats32
 from tactiled.core import surface
 from tactiled.restore.blur import Blur
-from tactiled.restore.modes import Image
 from tactiled.restore.noise import detection_threshold
 
 MARGIN = 2  # pitches around the taxels that feel more than noise
@@ -36,7 +36,7 @@ class Pressed:
         self._shape = rows, columns
         self.whole: Box = 0, rows, 0, columns, False
 
-    def __call__(self, y: Image) -> Box:
+    def __call__(self, y: Floats32) -> Box:
         """Give the box for a frame without gaps: the whole surface, if nothing less is sure."""
         return surface.box(
             y.reshape(-1),

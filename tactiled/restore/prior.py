@@ -15,8 +15,9 @@ from weakref import WeakValueDictionary
 import numpy as np
 from numpy.typing import NDArray
 
+from tactiled.arrays import Floats, Floats32
 from tactiled.core import coefficients
-from tactiled.restore.modes import Floats, Image, Modes, Transform
+from tactiled.restore.modes import Modes, Transform
 
 # The family was chosen on the scenes of `python -m tests.bench judge --family first`.
 CORNERS = (0.02, 0.06, 0.2, 0.6)  # q0, cycles a cell: from one wide press to points
@@ -124,7 +125,7 @@ class Prior:
             values = np.add.reduceat(values, first, axis=axis)
         return np.asarray(values, float)
 
-    def pick(self, y: Image) -> Spectrum:
+    def pick(self, y: Floats32) -> Spectrum:
         """Give the most likely spectrum for a frame without gaps."""
         analyse, (rows, columns), frame = self._analyse, self._blocks, y.reshape(len(y), -1)
         return self.spectra[coefficients.likeliest(analyse.left, frame, analyse.right, rows, columns, self._costs)]

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from tactiled.restore.modes import Image
+from tactiled.arrays import Floats32
 from tactiled.restore.scene import Scene
 from tactiled.restore.solvers import richardson_lucy
 
@@ -28,19 +28,19 @@ class RichardsonLucy:
         self._weight = np.asarray(1 / np.maximum(reach, MIN_REACH), np.float32)
         self.image = np.empty_like(self._back)
 
-    def _forward(self, x: Image) -> Image:
+    def _forward(self, x: Floats32) -> Floats32:
         self._to_surface_modes(x, self._surface_modes)
         np.multiply(self._surface_modes[self._scene.modes.head], self._gain, out=self._taxel_modes)
         self._to_taxels(self._taxel_modes, self._Hx)
         np.maximum(self._Hx, 0, out=self._Hx)  # smooth pressure swings below it beside an edge
         return np.add(self._Hx, self._offset, out=self._Hx)
 
-    def _adjoint(self, y: Image) -> Image:
+    def _adjoint(self, y: Floats32) -> Floats32:
         self._to_taxel_modes(y, self._taxel_modes)
         np.multiply(self._taxel_modes, self._gain, out=self._taxel_modes)
         return self._to_surface(self._taxel_modes, self._back)
 
-    def __call__(self, y: Image) -> int:
+    def __call__(self, y: Floats32) -> int:
         """Restore a frame without gaps; gives the iterations made."""
         scene, image = self._scene, self.image
         lifted = np.maximum(y + self._offset, np.float32(1e-3) * self._offset)

@@ -7,10 +7,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from tactiled.arrays import Floats, Floats32
 from tactiled.core import readings
 from tactiled.restore.blur import THICKNESS_ERROR, Blur
 from tactiled.restore.kriging import Gaps, make
-from tactiled.restore.modes import Floats, Image
 from tactiled.restore.pressed import Pressed
 from tactiled.restore.prior import CORNERS, Kept, Prior, Spectrum, kept
 
@@ -33,7 +33,7 @@ def never() -> bool:
 class Restored(NamedTuple):
     """A restored image and what is known about it."""
 
-    image: Image  # kPa, the surface's shape; valid until the next call
+    image: Floats32  # kPa, the surface's shape; valid until the next call
     method: str  # what ran
     why: str  # why it was chosen
     iterations: int
@@ -42,7 +42,7 @@ class Restored(NamedTuple):
     cut_short: bool = False  # whether the time for it was over before the method was done
 
 
-def pressed_noise_gain(image: Image, linear: float) -> float:
+def pressed_noise_gain(image: Floats32, linear: float) -> float:
     """Give a non-negative image's noise over the frame's: `linear`, the filter's, and 0 where nothing presses."""
     return linear * (np.count_nonzero(image) / image.size) ** 0.5
 
@@ -92,7 +92,7 @@ class Scene:
         self._reach = self.cell_reach.reshape(-1)
         gains = self.modes.gain, self.modes.frequency, self.gain_variance
         self._resolution: Kept[float] = kept("resolution", *gains, np.array(blur.cell_mm))
-        self._unfelt: dict[Spectrum, Image] = {}
+        self._unfelt: dict[Spectrum, Floats32] = {}
         self.widest_mm = blur.cell_mm * max(blur.surface_shape)
 
     def cut(self) -> bool:
@@ -100,13 +100,13 @@ class Scene:
         self.cut_short = self.expired()
         return self.cut_short
 
-    def measure_range(self, y: Image) -> None:
+    def measure_range(self, y: Floats32) -> None:
         """Take in a frame's largest and smallest pressure; NaN where any is."""
         self.low, self.high, known = readings.look(y.reshape(-1))
         if known < y.size:
             self.low = self.high = nan
 
-    def look(self, y: Image) -> None:
+    def look(self, y: Floats32) -> None:
         """Take in a frame without gaps."""
         self.y = y
         self.spectrum = self.prior.pick(y)
@@ -124,7 +124,7 @@ class Scene:
         """Give the array's own part of an image (R, C) of the surface."""
         return image if self.array.wide is None else image[self.array.wide.own]
 
-    def raw(self) -> Image:
+    def raw(self) -> Floats32:
         """Give the frame itself as an image of the array."""
         return self.y.reshape(-1)[self.array.taxel]
 
@@ -165,7 +165,7 @@ class Scene:
             return 1.0
         return min(max(force / predicted, FORCE_BOUNDS[0]), FORCE_BOUNDS[1])
 
-    def keep_force(self, flat: Image) -> None:
+    def keep_force(self, flat: Floats32) -> None:
         """Hold an image (M,) without negative values to the frame's total force, as far as that is known.
 
         All taxels' noise is in the frame's total: where few cells are pressed, the image knows its force better.

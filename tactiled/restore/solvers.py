@@ -4,12 +4,12 @@ from collections.abc import Callable
 
 import numpy as np
 
-from tactiled.restore.modes import Image
+from tactiled.arrays import Floats32
 
-Map = Callable[[Image], Image]
+Map = Callable[[Floats32], Floats32]
 
 
-def conjugate_gradients(A: Map, b: Image, max_iterations: int, tolerance: float = 1e-3) -> Image:
+def conjugate_gradients(A: Map, b: Floats32, max_iterations: int, tolerance: float = 1e-3) -> Floats32:
     """Minimise x'Ax / 2 - b'x for symmetric positive A, until |b - A x| is down to `tolerance` of |b|."""
     x, r = np.zeros_like(b), b.copy()
     p, rr = r.copy(), float(r @ r)
@@ -29,9 +29,9 @@ def conjugate_gradients(A: Map, b: Image, max_iterations: int, tolerance: float 
 def richardson_lucy(
     forward: Map,
     adjoint: Map,
-    y: Image,
-    x: Image,
-    weight: Image,
+    y: Floats32,
+    x: Floats32,
+    weight: Floats32,
     max_iterations: int,
     residual: float = 0.0,
 ) -> int:

@@ -4,7 +4,7 @@ from math import sqrt
 
 import numpy as np
 
-from tactiled.restore.modes import Image
+from tactiled.arrays import Floats32
 from tactiled.restore.nonnegative import Nonnegative
 from tactiled.restore.prior import Spectrum
 from tactiled.restore.scene import Scene
@@ -49,7 +49,7 @@ class Edges:
         self._p[...] = 0
         self._limit[()] = weight / DUAL_STEP
 
-    def fill(self, z: Image) -> None:
+    def fill(self, z: Floats32) -> None:
         """Make x what is left of z (R C,) under the pull, 0 where that is negative."""
         x = self.x
         np.subtract(self._across, self._before, out=x)
@@ -112,12 +112,12 @@ class TotalVariation:
         self._nonnegative.prepare()
         self._cell_variance()
 
-    def __call__(self, linear: Image) -> int:
+    def __call__(self, linear: Floats32) -> int:
         """Restore from the linear image; gives how often was iterated."""
         done = self._nonnegative(linear)
         return done + self.flatten(self._nonnegative.image)
 
-    def flatten(self, image: Image) -> int:
+    def flatten(self, image: Floats32) -> int:
         """Restore from a non-negative image; gives how often was iterated."""
         scene, edges, done = self._scene, self._edges, 0
         np.copyto(self.image, image)

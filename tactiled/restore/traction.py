@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
-from tactiled.restore.modes import Floats
+from tactiled.arrays import Floats
 
 FRICTION = 0.35  # tangential load along an axis over pressure, standard deviation, at most
 SIZES = (0.0, 0.1, 0.3, 1.0)  # of friction: parts of its variance that are tried

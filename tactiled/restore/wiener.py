@@ -8,8 +8,8 @@ from math import prod, sqrt
 
 import numpy as np
 
+from tactiled.arrays import Floats, Floats32
 from tactiled.core import coefficients
-from tactiled.restore.modes import Floats, Image
 from tactiled.restore.narrow_band import NarrowBand
 from tactiled.restore.prior import Kept, kept
 from tactiled.restore.scene import Scene
@@ -37,7 +37,7 @@ class Filter:
         expected = modes.gain**2 * scene.spectrum.ratio[modes.head]
         self.limit = band.limit(expected) if band else None  # of each mode's power, over that of the noise
 
-    def correction(self, power: Image) -> float:
+    def correction(self, power: Floats32) -> float:
         """How much the cover took from the frame (kPa^2, summed over taxels), from the power of its modes."""
         return float(self._changed.dot(power))
 
@@ -60,7 +60,7 @@ class Wiener:
         """Give the filter of the scene's spectrum, made when that spectrum is first met."""
         return self._filters(self._scene.spectrum, lambda: Filter(self._scene, self._band))
 
-    def __call__(self) -> Image:
+    def __call__(self) -> Floats32:
         """Give the surface pressure, total force kept; may be negative."""
         scene, filter_, band = self._scene, self.filter(), self._band
         if band and filter_.limit is not None and band(scene.squares, filter_.limit, filter_.weight):
