@@ -26,6 +26,7 @@ RAN_RAW = "document.getElementById('method-used').innerText === 'None, as measur
 # The automatic range, which the field has, is that of the frame that is shown, paused as it is.
 FITTED = """(([peak, high]) => peak < high && high < 2 * peak)(
   [document.getElementById("peak-restored").innerText, document.getElementById("range-high").value].map(Number))"""
+SUMMARY = "document.querySelector('#alerts summary')"
 OF_LIVE = "#tare", "#record"
 SAVED = "PNG", "CSV", "Report", "Film"
 BANNER = "document.getElementById('banner').checkVisibility()"
@@ -84,6 +85,7 @@ def test_a_recording_plays_is_sought_and_stepped_through_and_the_live_view_is_ba
         page.press("PageUp")  # a tenth of it
     page.evaluate("document.activeElement.blur()")
     page.wait(f"Number({FRAME}) >= 8")
+    assert page.evaluate(f"{SUMMARY}.tabIndex") == -1  # nothing to open
     page.press("Home", *["ArrowRight"] * 2, "Shift+ArrowRight", "ArrowRight", "ArrowLeft")
     page.wait(f"{FRAME} === '12'")
     page.wait(FITTED)
@@ -92,6 +94,7 @@ def test_a_recording_plays_is_sought_and_stepped_through_and_the_live_view_is_ba
     page.wait(f"{FRAME} === '20'")
     page.wait("/taxels did not arrive/.test(document.getElementById('warnings').textContent)")
     page.wait("document.getElementById('losses').innerText !== 'none'")
+    assert page.evaluate(f"{SUMMARY}.tabIndex") == 0
     page.inspect()
     page.get_by_label("Method").select_option("raw")
     page.wait(RAN_RAW)

@@ -47,7 +47,8 @@ export class Alerts {
   /** @param {HTMLElement} root */
   constructor(root) {
     this._root = /** @type {HTMLDetailsElement} */ (root);
-    this._line = /** @type {HTMLElement} */ (root.querySelector("summary span"));
+    this._summary = /** @type {HTMLElement} */ (root.querySelector("summary"));
+    this._line = /** @type {HTMLElement} */ (this._summary.firstElementChild);
     this._list = /** @type {HTMLElement} */ (root.querySelector("ul"));
     this._recent = new Warnings();
     this._key = "";
@@ -66,6 +67,7 @@ export class Alerts {
     this._key = key;
     const count = texts.length;
     document.body.dataset.warnings = String(count);
+    this._summary.tabIndex = count ? 0 : -1; // without a warning there is nothing to open
     setText(this._line, !count ? "No warning" : count === 1 ? texts[0] : `${count} warnings: ${texts[0]}`);
     this._list.replaceChildren(...texts.map((each) => element("li", "", each)));
     if (!count) this._root.open = false;
