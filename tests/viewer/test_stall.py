@@ -49,7 +49,7 @@ def test_what_waited_while_the_page_was_hidden_is_not_painted(pair, open_page, w
     np.testing.assert_array_equal(after, before)
     while (page.pixels("map") == before).all():  # nothing newer comes
         page.refreshed()
-    page.wait(f"/, [1-9][0-9.]* s late$/.test({TILE if wall else PILL})")
+    page.wait(f"/, [1-9][0-9.]* s late/.test({TILE if wall else PILL})")
     page.keep(lambda: rig.both(pressed(1)), live)
     while (page.pixels("map") != before).any():
         rig.both(pressed(1))
