@@ -63,7 +63,7 @@ COMPILE_SOON = (
     " --invocation-count-for-maglev=20 --invocation-count-for-turbofan=40"
 )
 WARM_UP, FRAMES = 500, 200  # frames before, and measured
-MAX_BYTES = 3000  # a frame, in the viewer's own functions: 2300, and more where few are painted between contacts
+MAX_BYTES = 3000  # a frame, in the viewer's own functions: 2300
 BY_TIME = re.compile(r"(api|deviation|npy|socket)\.js ")  # what comes by time, not by frames
 STOP_TIMERS = "for (let i = 1; i < 1000; i += 1) clearInterval(i)"  # texts and polling
 
@@ -75,9 +75,10 @@ def test_a_painted_frame_leaves_little_garbage(rig, url, launch, open_page):
         session = page.context.new_cdp_session(page.page)
         page.wait(f"{PAINTINGS} > {WARM_UP}")
         session.send("HeapProfiler.startSampling", {**SAMPLING, "samplingInterval": 256})
-        before = page.painted()
+        before, sent = page.painted(), rig.sequence
         page.wait(f"{PAINTINGS} > {before + FRAMES}")
-        profile, frames = session.send("HeapProfiler.stopSampling")["profile"], page.painted() - before
+        profile = session.send("HeapProfiler.stopSampling")["profile"]
+        frames = max(page.painted() - before, rig.sequence - sent)  # a busy machine paints fewer than come
     by_function = allocated(profile["head"], Counter())
     own = {name: size / frames for name, size in by_function.items() if ".js " in name and not BY_TIME.match(name)}
     assert len(own) > 10  # it did look
