@@ -105,9 +105,10 @@ class Finder:
         """Measure a contact: force and place with the skirt round the cells that are clearly pressed.
 
         The errors of its cells count as independent: in `tests.bench border` 94 % of the forces are within two
-        deviations, as they are of cells.
+        deviations, as they are of cells. A force between none and all of the image's has half of that at most.
         """
         area = self._cells.side**2
+        most = 0.5 * float(np.maximum(pressure, 0).sum()) * area
         force = pressure[skirt] * area  # unit of pressure times mm^2
         places = self._cells.positions[skirt]
         weight = np.maximum(force, 0) / np.maximum(force, 0).sum()  # what rings below zero has no place
@@ -128,7 +129,7 @@ class Finder:
             minor_mm=float(minor),
             angle_rad=float(angle),
             cut_off=bool(self._border.ravel()[pressed].any()),
-            force_deviation=float(np.linalg.norm(deviation[skirt])) * area * force_scale,
+            force_deviation=min(float(np.linalg.norm(deviation[skirt])) * area, most) * force_scale,
         )
 
 

@@ -11,11 +11,11 @@ import numpy as np
 from tactiled.arrays import Flags, Floats32, Mask, Reals
 from tactiled.frames import BELOW_ZERO, MISSING, UNKNOWN
 from tactiled.restore.blur import Blur
+from tactiled.restore.scene import MIN_REACH
 
 # `python -m tests.bench felt` measures what is wrong at each share.
 MIN_CELL_SHARE = 0.2  # with less an image misses over half of the pressure on a cell
 MIN_SUM_SHARE = 0.8  # of a region or contact, whose force is then right to 15 % in nine of ten
-MIN_REACH = 1e-6  # of the most that taxels feel of a cell: of a cell with less nothing is known
 KEPT_SHARES = 64  # taxels that never come are the same ones in each frame
 
 

@@ -53,8 +53,12 @@ def _slope_in_thickness(scene: Scene, image: Floats32) -> Floats:
 
 
 def learned_deviation(scene: Scene, network: Learned) -> Floats:
-    """Give the network's own, and what a cover known less than in training changes of its image."""
-    spread, doubt = network.deviation(), sqrt(max(scene.thickness_error**2 - THICKNESS_ERROR**2, 0.0))
+    """Give the network's own, and what a cover known less than in training changes of its image.
+
+    Of what is between 0 and a bound the deviation is half the bound at most (Popoviciu 1935).
+    """
+    spread = np.minimum(network.deviation(), 0.5 * scene.most(network.image))
+    doubt = sqrt(max(scene.thickness_error**2 - THICKNESS_ERROR**2, 0.0))
     return np.asarray(np.hypot(spread, doubt * _slope_in_thickness(scene, network.image)) if doubt else spread)
 
 

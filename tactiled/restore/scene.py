@@ -21,6 +21,7 @@ IMAGE_FORCE_ERROR = 0.03  # of an image's total before it is held to the frame's
 FORCE_NOISE_SIGMAS = 3.0  # of the noise of the total force: a larger difference is none of it
 FORCE_PASSES = 8  # of Newton's method, to take an excess of force from the pressed cells; three or four settle
 FORCE_CLEAR_SIGMAS = 4.0  # standard deviations that a total force must stand out by to be held to
+MIN_REACH = 1e-6  # of the most that taxels feel of a cell: of one with less nothing is known
 SPOTS_CORNER = CORNERS[-2]  # cycles a cell: a spectrum that falls no sooner
 SPOTS_TAXELS = 16.0  # a frame as rough whose pressure is on no more may be of points
 
@@ -178,6 +179,11 @@ class Scene:
         noise *= likely if noise**2 < FORCE_NOISE_SIGMAS**2 * self._force_variance else 0.0
         bounds = self._force_agrees, self._force_clear, *FORCE_BOUNDS, FORCE_PASSES
         readings.keep_total(flat, self._reach, force, noise, *bounds)
+
+    def most(self, image: Floats32) -> Floats:
+        """Give the most (kPa) that each cell can have: all of the force that the taxels feel of an image."""
+        total = float(self._reach.dot(image.reshape(-1))) + self._force_clear
+        return np.asarray(total / np.maximum(self.cell_reach, MIN_REACH * self.cell_reach.max()), float)
 
     def resolution(self) -> float:
         """Half-period (mm) of the finest mode whose signal, by the spectrum picked, is above the noise."""

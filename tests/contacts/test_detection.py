@@ -132,6 +132,8 @@ def test_a_force_is_known_as_its_independent_cells_are_and_an_empty_image_asks_f
     image[10:12, 10:12] = 20
     (contact,) = find(image, 0.1, deviation=deviation)
     assert contact.force_deviation == pytest.approx(3e-3 * 12**0.5)  # with the skirt, 12 squares of 1 mm
+    (contact,) = find(image, 0.1, deviation=lambda: np.full((SIDE, SIDE), 1e3, np.float32))
+    assert contact.force_deviation == pytest.approx(contact.force / 2)  # there is no other force
     (contact,) = find(image, 0.1)
     assert np.isnan(contact.force_deviation)
 

@@ -6,9 +6,11 @@ import numpy as np
 import pytest
 
 from tactiled.bench.skin import rubber
+from tactiled.cover.operator import matrix
 from tactiled.restore import wiener
 from tactiled.restore.methods import make
 from tests.bench.presses import presses
+from tests.plans import plan
 
 SIZE = 12
 SIGMA = 0.5
@@ -109,3 +111,13 @@ def test_the_deviation_of_a_raw_image_is_the_same_by_auto_and_makes_its_filter_o
     monkeypatch.setattr(wiener, "Filter", None)
     for each in (*deviations, auto.deviation(), raw.deviation()):
         np.testing.assert_array_equal(each, deviations[0])
+
+
+def test_no_cell_is_uncertain_by_more_than_half_of_all_the_force():
+    """The network gave two thirds of it at a small load on 4 x 6."""
+    skin = plan((4, 6), 2.0, refine=2, pitch=4.0)
+    frame = matrix(skin.kernel, skin.array, np.array([[7.0, 8.3]]), 1.0).reshape(4, 6)
+    restorer = make("learned", skin.blur, 0.2)
+    restorer(np.float32(100 * frame / frame.max()))
+    image, spread = restorer.whole()
+    assert 0.3 < spread.ravel()[image.argmax()] / image.sum() < 0.55
