@@ -55,9 +55,8 @@ class Worker:
         join_started(self._thread)
 
 
-_BACKGROUND = ThreadPoolExecutor(
-    1, "background"
-)  # beside the frames: more threads would take more turns from them
+# Beside the frames: more threads would take more turns from them.
+_BACKGROUND = ThreadPoolExecutor(1, "background")
 
 
 def run_on_thread(work: Callable[[], None]) -> None:

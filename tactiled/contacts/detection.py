@@ -96,19 +96,20 @@ class Finder:
             numbers = [n for n in whole if is_known(shares[parts == n].mean(), summed=True)]
         spread = deviation().ravel() if numbers and deviation else np.full(pressure.size, np.nan)
         cells = ([np.flatnonzero(each == n) for each in (parts, skirts)] for n in numbers)
-        contacts = [self._measure(pressure.ravel(), spread, scale, *each) for each in cells]
+        most = 0.5 * float(np.maximum(pressure, 0).sum())
+        contacts = [self._measure(pressure.ravel(), spread, most, scale, *each) for each in cells]
         return sorted(contacts, key=lambda contact: -contact.force)
 
     def _measure(
-        self, pressure: Floats, deviation: Reals, force_scale: float, pressed: Labels, skirt: Labels
+        self, pressure: Floats, deviation: Reals, most: float, force_scale: float, pressed: Labels, skirt: Labels
     ) -> Contact:
         """Measure a contact: force and place with the skirt round the cells that are clearly pressed.
 
         The errors of its cells count as independent: in `tests.bench border` 94 % of the forces are within two
-        deviations, as they are of cells. A force between none and all of the image's has half of that at most.
+        deviations, as they are of cells. A force between none and all of the image's deviates by half of that at
+        `most`, a sum over cells.
         """
         area = self._cells.side**2
-        most = 0.5 * float(np.maximum(pressure, 0).sum()) * area
         force = pressure[skirt] * area  # unit of pressure times mm^2
         places = self._cells.positions[skirt]
         weight = np.maximum(force, 0) / np.maximum(force, 0).sum()  # what rings below zero has no place
@@ -129,7 +130,7 @@ class Finder:
             minor_mm=float(minor),
             angle_rad=float(angle),
             cut_off=bool(self._border.ravel()[pressed].any()),
-            force_deviation=min(float(np.linalg.norm(deviation[skirt])) * area, most) * force_scale,
+            force_deviation=min(float(np.linalg.norm(deviation[skirt])), most) * area * force_scale,
         )
 
 

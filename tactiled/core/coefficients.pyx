@@ -105,7 +105,7 @@ def outstanding(
     ValueError where shapes do not fit.
     """
     cdef long K = squares.shape[0], L = squares.shape[1], size = K * L, i, j
-    cdef bint found = False, full = False
+    cdef bint found = False, failed = False
     cdef float level, a, b, q, p, own
     if not (
         K and L and limit.shape[0] == quiet.shape[0] == inverse.shape[0] == firm.shape[0] == weight.shape[0] == K
@@ -120,9 +120,9 @@ def outstanding(
     cdef const float *most = &limit[0, 0]
     cdef const float *calm = &quiet[0, 0]
     with nogil:
-        full = window_means(c, K, L, power) < 0
+        failed = window_means(c, K, L, power) < 0
         level = max(dot(size, c, calm) / variance, 1)
-        if not full and any_above(size, power, variance, level, most):
+        if not failed and any_above(size, power, variance, level, most):
             a = excess(c + L // 2, L - L // 2, 1, variance)
             b = excess(c + K // 2 * L, K - K // 2, L, variance)
             for i in range(K):
@@ -136,7 +136,7 @@ def outstanding(
                     else:
                         out[i, j] = weight[i, j]
         free(power)
-    if full:
+    if failed:
         raise MemoryError
     return found
 

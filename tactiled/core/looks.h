@@ -9,7 +9,8 @@
 #define REACH 2 /* values on either side whose mean is taken with one */
 #define SELECT(which, a, b) ((NAME(vec))(((which) & (NAME(bits))(a)) | (~(which) & (NAME(bits))(b))))
 
-/* What is not NaN: the lowest and highest, how many they are; sums of what is above 0, of its squares, and below. */
+/* Of the values that are not NaN the lowest, the highest and how many they are. The sum of those above 0, of their
+   squares, and of the squares of those below; NaN where any value is. */
 struct looks {
   float lowest, highest, above, above_squared, below_squared;
   long known;

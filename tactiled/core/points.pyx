@@ -100,10 +100,11 @@ def responses(
     for i in range(n):
         if not (-phases <= at[i, 0] <= R * phases and -phases <= at[i, 1] <= C * phases):
             raise ValueError("responses: a load is off the table")
-    fill(down, across, &at[0, 0], n, first, out.shape[0], &out[0, 0, 0])
+    if fill(down, across, &at[0, 0], n, first, out.shape[0], &out[0, 0, 0]) < 0:
+        raise MemoryError
 
 
-cdef void fill(
+cdef int fill(
     const float[:, :, :, ::1] down,
     const float[:, :, :, ::1] across,
     const long *at,
@@ -112,13 +113,13 @@ cdef void fill(
     long kinds,
     float *out,
 ) noexcept nogil:
-    """Fill out (kinds, n, R C) as `responses` does."""
+    """Fill out (kinds, n, R C) as `responses` does; -1 where there is no memory."""
     cdef long phases = down.shape[0], parts = down.shape[2], wide = down.shape[3], widest = across.shape[3]
     cdef long R = (wide - 1) // 2, C = (widest - 1) // 2, cells = parts * C
     cdef long i, k, p, order, behind_row, behind_column
     cdef float *a = <float *>malloc((3 * cells + R * C) * sizeof(float))
     if a == NULL:
-        return
+        return -1
     cdef float *bends = a + 3 * cells
     cdef const float *d
     cdef const float *values
@@ -139,6 +140,7 @@ cdef void fill(
                 for p in range(R * C):
                     drawn[p] = 0.5 * (drawn[p] + bends[p])
     free(a)
+    return 0
 
 
 def fit(
@@ -189,6 +191,7 @@ def fit(
     cdef double move, longest, common = 0, common_variance = 0
     cdef double[2] end
     cdef float *J = &jacobian[0, 0]
+    cdef bint failed = False
     end[0], end[1] = rows - 0.5, columns - 0.5
     with nogil:
         for i in range(n):
@@ -200,8 +203,9 @@ def fit(
                     at[2 * i + k] = <long>rint(places[i, k] * phases)
                     places[i, k] = at[2 * i + k] / <double>phases
             m = 3 * n
-            fill(down, across, at, n, 0, 3, J)
-            squares(J, &y[0], m, N, system)
+            failed = fill(down, across, at, n, 0, 3, J) < 0 or squares(J, &y[0], m, N, system) < 0
+            if failed:
+                break
             step(system, n, limits[3], system + size * (size + 1), &found[0, 0], moved)
             clear, longest = 0, 0
             for i in range(n):
@@ -222,9 +226,9 @@ def fit(
                     places[i, k] = min(move, end[k]) if move > -0.5 else -0.5
         else:
             done, n = steps, 0
-        if n:
+        if n and not failed:
             m = 4 * n
-            fill(down, across, at, n, 3, 1, J + 3 * n * N)
+            failed = fill(down, across, at, n, 3, 1, J + 3 * n * N) < 0
             for i in range(n):
                 scale[i], scale[n + i], scale[2 * n + i], scale[3 * n + i] = 1, found[0, i], found[0, i], found[0, i]
                 for k in range(3):
@@ -232,7 +236,7 @@ def fit(
             for i in range(n):
                 moved[i] = found[0, i]
             take_away(&y[0], J, moved, n, N, &left[0])
-            squares(J, &left[0], m, N, system)
+            failed = squares(J, &left[0], m, N, system) < 0 or failed
             for i in range(m):
                 for j in range(m + 1):
                     system[i * (m + 1) + j] *= scale[i] * (scale[j] if j < m else 1)
@@ -248,18 +252,20 @@ def fit(
                     moved[k * n + i] = found[1 + k, i] * scale[k * n + i]
             take_away(&left[0], J, moved, m, N, &left[0])
         free(system)
+    if failed:
+        raise MemoryError
     return done, n, common, common_variance
 
 
-cdef void squares(const float *J, const float *y, long m, long N, double *out) noexcept nogil:
-    """Fill out (m, m + 1) with J J' and J y of a Jacobian J (m, N)."""
+cdef int squares(const float *J, const float *y, long m, long N, double *out) noexcept nogil:
+    """Fill out (m, m + 1) with J J' and J y of a Jacobian J (m, N); -1 where there is no memory."""
     cdef long i, j, size, first = 0
     cdef float *turned = <float *>malloc((PIECE + m) * (m + 1) * sizeof(float))  # of J and y, N after m + 1
     cdef float *part = turned + PIECE * (m + 1)
     for i in range(m * (m + 1)):
         out[i] = 0
     if turned == NULL:
-        return
+        return -1
     while first < N:
         size = min(PIECE, N - first)
         for j in range(size):
@@ -271,6 +277,7 @@ cdef void squares(const float *J, const float *y, long m, long N, double *out) n
             out[i] += part[i]
         first += PIECE
     free(turned)
+    return 0
 
 
 cdef void step(const double *system, long n, double ridge, double *A, double *force, double *moves) noexcept nogil:

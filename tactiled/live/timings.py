@@ -44,17 +44,20 @@ class Timings:
     @property
     def stages(self) -> dict[str, Histogram]:
         """Of each stage of a frame's way."""
-        return self._counted(self._stages)
+        self._count_waiting()
+        return self._stages
 
     @property
     def methods(self) -> dict[str, Histogram]:
         """Of restoring alone, by the method that ran."""
-        return self._counted(self._methods)
+        self._count_waiting()
+        return self._methods
 
     @property
     def ages(self) -> dict[str, Histogram]:
         """Of a frame's age, since its last message came, by where it is."""
-        return self._counted(self._ages)
+        self._count_waiting()
+        return self._ages
 
     def note(self, image: Image, published: float) -> None:
         """Count an image that was published at `published` (s); for the thread that restores."""
@@ -62,7 +65,7 @@ class Timings:
             return
         self._published.append((image.method, image.times, published))
         if len(self._published) >= MAX_WAITING:
-            self._counted(self._stages)
+            self._count_waiting()
 
     def note_send(self, image: Image, time: float) -> None:
         """Count an image that a client was sent at `time` (s); for the event loop."""
@@ -70,18 +73,17 @@ class Timings:
             return
         self._sent.append(time - image.times.last_message)
         if len(self._sent) >= MAX_WAITING:
-            self._counted(self._ages)
+            self._count_waiting()
 
-    def _counted(self, histograms: dict[str, Histogram]) -> dict[str, Histogram]:
-        """Give histograms with all that waits counted; any thread."""
+    def _count_waiting(self) -> None:
+        """Count all that waits; any thread."""
         with self._counting:
             published = [self._published.popleft() for _ in range(len(self._published))]
             self._ages["send"].count([self._sent.popleft() for _ in range(len(self._sent))])
             if published:
-                self._count(published)
-        return histograms
+                self._count_published(published)
 
-    def _count(self, published: list[tuple[str, StageTimes, float]]) -> None:
+    def _count_published(self, published: list[tuple[str, StageTimes, float]]) -> None:
         times = np.array([(*each[1:], then) for _, each, then in published])
         for histogram, seconds in zip(self._stages.values(), np.diff(times).T, strict=True):
             histogram.count(seconds)

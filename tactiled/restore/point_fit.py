@@ -62,7 +62,7 @@ class Fitter:
             return None
         force, change, _, _, own_width, own, own_variance = found[:7, :n]
         others = found[2:4, :n].T, np.maximum(own_width, 0), found[7:, :n].T, own, own_variance
-        return Fit(steps, at[:n], force, change, *others, max(width, 0.0), variance, self._left)
+        return Fit(steps, at[:n], force, change, *others, width, variance, self._left)
 
     def within(self, places: Floats) -> Floats:
         """Give places no further out than half a pitch from the taxels."""
