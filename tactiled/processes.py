@@ -37,7 +37,7 @@ class FitProcess:
             with sender, self._lock:
                 if self._cancelled:
                     raise Cancelled
-                work = patient_process(send_outcome, sender, function, *arguments)
+                work = _process(NICENESS, send_outcome, sender, function, *arguments)
                 work.start()
                 self._process = work
             try:
@@ -61,7 +61,11 @@ class FitProcess:
 
 
 class SideProcess:
-    """Runs functions, one after the other; it begins with the first, and ends when idle or without a reference."""
+    """Runs functions, one after the other; it begins with the first, and ends when idle or without a reference.
+
+    Its work is short and a request waits for it: it has the priority of the service, else a busy machine would keep
+    the request waiting for a minute.
+    """
 
     def __init__(self, idle_s: float = IDLE_S) -> None:
         self._idle_s, self._lock = idle_s, Lock()
@@ -88,7 +92,7 @@ class SideProcess:
         if self._pipe is None:
             self._pipe, other = SPAWN.Pipe()
             with other:
-                self._process = patient_process(_work, other, self._idle_s)
+                self._process = _process(0, _work, other, self._idle_s)
                 self._process.start()
         self._pipe.send(work)
         answer: tuple[object, Exception | None] = self._pipe.recv()
@@ -109,7 +113,7 @@ def start(function: Callable[..., object], *arguments: object) -> Connection:
     """Run a module's function that nobody waits for; its outcome and error (one None) come together."""
     receiver, sender = SPAWN.Pipe(duplex=False)
     with sender:
-        patient_process(send_outcome, sender, function, *arguments).start()
+        _process(NICENESS, send_outcome, sender, function, *arguments).start()
     return receiver
 
 
@@ -121,12 +125,12 @@ def send_outcome(sender: Connection, function: Callable[..., object], *arguments
         sender.send((None, error))
 
 
-def patient_process(work: Callable[..., None], *arguments: object) -> BaseProcess:
-    """A process, yet to be started, that waits for frames, and not frames for it."""
-    return SPAWN.Process(target=_work_patiently, args=(NICENESS, work, *arguments), daemon=True)
+def _process(niceness: int, work: Callable[..., None], *arguments: object) -> BaseProcess:
+    """A process, yet to be started."""
+    return SPAWN.Process(target=_begin, args=(niceness, work, *arguments), daemon=True)
 
 
-def _work_patiently(niceness: int, work: Callable[..., None], *arguments: object) -> None:
+def _begin(niceness: int, work: Callable[..., None], *arguments: object) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the service, which ends its daemons
     os.nice(niceness)
     with threadpool_limits(1):

@@ -75,9 +75,11 @@ def test_shear_is_read_saved_and_switched_off(rig, url, open_page):
     page = open_page(url)
     page.show(rig, X, Y, PRESSED)
     assert page.evaluate(f"{RESTORED_KEY}.hidden")  # not tared yet
+    rig.stale_after(600)  # a tare is given up where frames stay away
     rig.show(REST, REST)
     rig.sensor.tare(force=True)
     until(lambda: rig.show(REST, REST) and rig.sensor.pipeline.tares.done)
+    rig.stale_after(0.3)
     page.keep(lambda: rig.show(X, Y, PRESSED), f"parseFloat({RESTORED_KEY}.innerText) > 0.5")
     image = page.show(rig, X, Y, PRESSED)
     assert inked(page.pixels("restored-shear")).sum() > 60
