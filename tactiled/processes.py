@@ -63,8 +63,8 @@ class FitProcess:
 class SideProcess:
     """Runs functions, one after the other; it begins with the first, and ends when idle or without a reference.
 
-    Its work is short and a request waits for it: it has the priority of the service, else a busy machine would keep
-    the request waiting for a minute.
+    Its work is short, and a request waits for it: at a lower priority than the service's, the request would take a
+    minute on a busy machine.
     """
 
     def __init__(self, idle_s: float = IDLE_S) -> None:
