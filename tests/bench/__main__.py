@@ -12,7 +12,6 @@ from tests.bench import (
     felt,
     frame_times,
     health,
-    insole,
     invented,
     judge,
     mistakes,
@@ -28,8 +27,8 @@ from tests.bench import (
 app = typer.Typer(add_completion=False, no_args_is_help=True)
 for measurement in (
     blind.blind, border.border, bus.bus, contacts.contacts, cover.cover, felt.felt,
-    frame_times.frame_times, health.health, insole.insole, invented.invented,
-    judge.judge, mistakes.mistakes, restart.restart, restore.restore, sensors.sensors,
+    frame_times.frame_times, health.health, invented.invented,
+    judge.judge, mistakes.mistakes, restart.restart, restore.restore,
     sensors.sensors_against, shear.shear, soak.soak, train.train, zenoh.zenoh,
 ):  # fmt: skip
     app.command()(measurement)

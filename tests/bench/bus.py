@@ -1,14 +1,9 @@
 """How many CAN messages a second become frames: from memory, and over a bus."""
 
-import multiprocessing
-import socket
-import struct
 import time
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import ExitStack
+from contextlib import closing
 from functools import partial
 from itertools import cycle, islice
-from pathlib import Path
 from threading import Thread
 from typing import NamedTuple
 
@@ -23,7 +18,6 @@ from tactiled.bus.reader import open_bus
 from tactiled.bus.router import Router
 from tactiled.bus.socketcan import MAX_FRAMES
 from tactiled.cli.bench import print_table
-from tactiled.errors import BusError
 
 LIVE = "packed, 32 x 32 of 12 bits, classic"
 SKINS = {
@@ -33,9 +27,7 @@ SKINS = {
     "XELA, 4 x 6": Xela(),
 }
 QUIET_S = 5.0  # a bus that is quiet for so long has lost the rest
-OPEN_S = 30.0  # for the sender to open its end
 TICK_S = 0.002  # a sender wakes up so often
-CAN_FRAME = struct.Struct("=IB3x8s")  # of Linux: id, length, data
 HEADINGS = ("skin", "messages a frame", "decoded and assembled", "encoded")
 
 
@@ -66,101 +58,55 @@ def _calls_per_s(work, seconds):
 
 
 class Live(NamedTuple):
-    """Result of one or several buses."""
+    """What came over a bus."""
 
-    messages: int  # sent
-    received: int
+    received: int  # messages
     lost: int  # by the frames' own counters
     rate: float  # messages a second that came in
     cores: float  # busy with reading and assembling, by the kernel's clock
 
 
-def live(buses, rate, seconds):
-    """Read what a sender puts on buses, `rate` messages a second over all of them; each has a thread, as in `run`.
-
-    The sender is another process; on a virtual bus, which no other process sees, a thread.
-    """
-    readers = [open_bus(**each) for each in buses]
-    count = round(rate * seconds / len(buses))
-    alone = all(each["interface"] != "virtual" for each in buses)
-    make = multiprocessing.get_context("spawn").Process if alone else Thread
-    sender = make(target=send, args=(buses, rate / len(buses), count), daemon=True)
-    sender.start()
-    try:
-        with ThreadPoolExecutor(len(readers)) as pool:
-            results = list(pool.map(partial(_drain, count), readers))
-    finally:
-        for reader in readers:
-            reader.close()
-        sender.join()
-    received, lost, rates, cores = map(sum, zip(*results, strict=True))
-    return Live(count * len(buses), received, lost, rates, cores)
-
-
-def _drain(count, reader):
-    """Make frames of `count` messages, or until the bus is quiet: received, lost, messages a second, cores."""
-    router = Router({"it": SKINS[LIVE]})
-    if not len(messages := reader.batch(OPEN_S)):
-        raise BusError(f"bus {reader.label}: no message within {OPEN_S:g} s: can its interface send to itself?")
-    began, busy = time.perf_counter(), time.thread_time()
-    received, last, cores_s = 0, began, 0.0
-    while len(messages):
-        router.push(messages)
-        received += len(messages)
-        last, cores_s = time.perf_counter(), time.thread_time() - busy
-        messages = reader.batch(QUIET_S, router.needed) if received < count else ()
+def live(channel, count, rate):
+    """Make frames of `count` messages of a virtual bus, on which a thread puts `rate` a second."""
+    router, settings = Router({"it": SKINS[LIVE]}), {"interface": "virtual", "channel": channel}
+    with closing(open_bus(**settings)) as reader, closing(open_bus(**settings)) as sender:
+        thread = Thread(target=send, args=(sender, rate, count))
+        thread.start()
+        messages = reader.batch(QUIET_S)
+        began, busy = time.perf_counter(), time.thread_time()
+        received, last, cores_s = 0, began, 0.0
+        while len(messages):
+            router.push(messages)
+            received += len(messages)
+            last, cores_s = time.perf_counter(), time.thread_time() - busy
+            messages = reader.batch(QUIET_S, router.needed) if received < count else ()
+        thread.join()
     took = max(last - began, TICK_S)
-    return received, router.assemblers["it"].loss.lost, received / took, cores_s / took
+    return Live(received, router.assemblers["it"].loss.lost, received / took, cores_s / took)
 
 
-def send(buses, rate, count):
-    """Put `count` messages on each of some buses, `rate` a second on each, paced in blocks."""
+def send(bus, rate, count):
+    """Put `count` messages on a bus, `rate` a second, paced in blocks."""
     _, messages = _traffic(SKINS[LIVE])
-    block = max(1, round(rate * TICK_S))
-    with ExitStack() as stack:
-        senders = [(_sender(each, stack), cycle(messages)) for each in buses]
-        due = time.perf_counter()
-        for remaining in range(count, 0, -block):
-            time.sleep(max(0.0, due - time.perf_counter()))
-            for put, source in senders:
-                for each in islice(source, min(block, remaining)):
-                    put(each)
-            due += block / rate
+    block, source, due = max(1, round(rate * TICK_S)), cycle(messages), time.perf_counter()
+    for remaining in range(count, 0, -block):
+        time.sleep(max(0.0, due - time.perf_counter()))
+        for each in islice(source, min(block, remaining)):
+            bus.send(each)
+        due += block / rate
 
 
-def _sender(bus, stack):
-    """Sends one message: on SocketCAN by a bare socket, so that the reader is what is measured."""
-    if bus["interface"] != "socketcan":
-        opened = open_bus(**bus)
-        stack.callback(opened.close)
-        return opened.send
-    can = stack.enter_context(socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW))
-    can.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, b"")  # it receives nothing
-    can.bind((bus["channel"],))
-    return lambda each: can.send(CAN_FRAME.pack(each.id, len(each.data), each.data))
-
-
-def buses_of(interface, channels):
-    """The buses of each live measurement: a virtual one and any vcan, unless one is named."""
-    if interface:
-        return [[{"interface": interface, "channel": name} for name in channels]]
-    vcans = [name for name in ("vcan0", "vcan1") if Path("/sys/class/net", name).exists()]
-    measured = [[{"interface": "virtual", "channel": "tactiled-bench"}]]
-    return measured + ([[{"interface": "socketcan", "channel": name} for name in vcans]] if vcans else [])
-
-
-def bus(interface: str = "", channel: list[str] = [], rate: float = 16_000, seconds: float = 2.0) -> None:  # noqa: B006
-    """Count the messages a second that are decoded and assembled, from memory and over a bus."""
+def bus(rate: float = 16_000, seconds: float = 2.0) -> None:
+    """Count the messages a second that are decoded and assembled, from memory and over a virtual bus."""
     rows = [
         (name, str(each), f"{received:,.0f}", f"{encoded:,.0f}")
         for name, each, received, encoded in offline(seconds)
     ]
     print_table("CAN messages a second, one core, from memory (aim: 200,000 decoded)", HEADINGS, rows)
-    for buses in buses_of(interface, channel):
-        result = live(buses, rate, seconds)
-        print(
-            f"{buses[0]['interface']} {', '.join(each['channel'] for each in buses)}: {result.messages:,} messages"
-            f" sent at {rate:,.0f}/s, {result.received:,} received at {result.rate:,.0f}/s, {result.lost:,} lost;"
-            f" cores busy reading: {result.cores:.2f} (aim: 16,000/s, none lost, under 0.6)"
-        )
+    sent = round(rate * seconds)
+    result = live("tactiled-bench", sent, rate)
+    print(
+        f"virtual: {sent:,} messages sent at {rate:,.0f}/s, {result.received:,} received at {result.rate:,.0f}/s,"
+        f" {result.lost:,} lost; cores busy reading: {result.cores:.2f} (aim: 16,000/s, none lost, under 0.6)"
+    )
     print(machine())

@@ -3,7 +3,6 @@
 from collections.abc import Iterator
 from copy import copy
 from functools import cache
-from importlib.resources import files
 from itertools import chain, product
 from typing import NamedTuple
 
@@ -12,14 +11,10 @@ import numpy as np
 from tactiled.bench.results import machine
 from tactiled.calibrate.counts.calibration import Calibration, Calibrator
 from tactiled.calibrate.counts.curves import Curves
-from tactiled.calibrate.upkeep.blocks import Blocks
 from tactiled.calibrate.upkeep.health import Fault
 from tactiled.calibrate.upkeep.monitor import SkinMonitor
 from tactiled.cli.bench import print_table
-from tactiled.config import load
 from tactiled.frames import Loss, RawFrame
-from tactiled.recorded.offline import read_frame_series
-from tactiled.restore.noise import MAD_TO_SIGMA
 from tactiled.simulate.array import Surface
 from tactiled.simulate.playback import SCENE_S, TOUR
 from tactiled.simulate.scenes import SCENES
@@ -34,8 +29,6 @@ SHAPE = 10, 10  # where discs are pressed
 FAULTY = 44
 PRESS_S = 3.0  # a disc lies for so long, then for as long none
 NOISES = (1.0, 5), (1.0, 8), (1.0, 15), (1.0, 30), (0.05, 30), (0.05, 100)  # part of the readings, times
-RECORDINGS = files("tactiled") / "recordings" / "icub"
-EXAMPLES = files("tactiled") / "config" / "examples"
 
 
 class Scenario(NamedTuple):
@@ -247,30 +240,8 @@ def noisy(thickness, times, spikes=1.0, measured=True, noise=4.0, seconds=300, s
     return np.nan
 
 
-def recorded():
-    """(recording, frames, blocks, noise of a taxel, noisiest, taxels that never change) of the four grasps."""
-    config = load(EXAMPLES / "grasp.toml")
-    for path in sorted(RECORDINGS.glob("*.log")):
-        frames = read_frame_series(path, "hand", config)
-        noise = MAD_TO_SIGMA * np.nanmedian(np.abs(np.diff(frames.counts, 2, axis=0)), axis=0) / 6**0.5
-        monitor = Blocks(frames.counts.shape[1])
-        blocks = [
-            monitor.observe(*each, np.zeros(60, np.uint8))
-            for each in zip(frames.times, frames.counts, strict=True)
-        ]
-        still = np.ptp(frames.counts, axis=0) == 0
-        yield (
-            path.stem,
-            len(blocks),
-            len(blocks) - blocks.count(None),
-            np.median(noise),
-            noise.max(),
-            int(still.sum()),
-        )
-
-
 def health(tours: int = 4, seconds: float = 60.0, seed: int = 1) -> None:
-    """False alarms on healthy 32 x 32 arrays at 100 Hz, seconds until a fault is found, the recorded grasps."""
+    """False alarms on healthy 32 x 32 arrays at 100 Hz, seconds until a fault is found."""
     rows, total, wrong = [], 0, 0
     again = (
         false_alarms(each, seed, measured, 24) for measured in (False, True) for each in grasps(seconds=seconds)
@@ -298,16 +269,4 @@ def health(tours: int = 4, seconds: float = 60.0, seed: int = 1) -> None:
     print_table(
         "Noisy taxels", ("t/pitch", "of the readings", "times the noise", "zero measured", "found after, s"), rows
     )
-    grasps = [
-        tuple(str(np.round(each, 1)) if not isinstance(each, str) else each for each in row) for row in recorded()
-    ]
-    headings = (
-        "grasp",
-        "frames",
-        "blocks of 16",
-        "median noise, counts",
-        "noisiest taxel",
-        "taxels that never change",
-    )
-    print_table("iCub Grasp Dataset", headings, grasps)
     print(machine())

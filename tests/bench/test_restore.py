@@ -28,4 +28,4 @@ def test_auto_does_not_restore_where_that_harms_a_kind_of_scene_in_the_mean(seed
 
 
 def test_every_method_is_timed_on_a_still_scene():
-    assert set(speed(16, 0.05)) == {"skimage wiener", "skimage rl", "FFT pair", *OURS}
+    assert set(speed(16, 0.05)) == {"skimage wiener", *OURS}

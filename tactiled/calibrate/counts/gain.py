@@ -96,20 +96,15 @@ def fit_steps(
 
 
 @unknown_taxels()
-def fit_pressure(
-    series: FrameSeries, log: Reference, rails: Rails, array: Array | None = None, loops: bool = True
-) -> GainFit:
-    """Curves from a log of the pressure that the whole array bore; `array` as of `fit_steps`.
-
-    Without `loops` no model of hysteresis is tried.
-    """
+def fit_pressure(series: FrameSeries, log: Reference, rails: Rails, array: Array | None = None) -> GainFit:
+    """Curves from a log of the pressure that the whole array bore; `array` as of `fit_steps`."""
     check_pressure(f"{log.path}: pressure_kpa", float(log.values.max()))
     signal = response(series)
     signal = signal * np.sign(signal.sum())
     require_press(signal)
     alignment = align(series.times, signal, log)
     points, means, used, pieces = log_points(series, log, alignment, rails)
-    trace = Trace(series, pieces, means.no_load) if loops else None
+    trace = Trace(series, pieces, means.no_load)
     return replace(_uniform(points, means, used, array, trace), alignment=alignment)
 
 
@@ -118,7 +113,7 @@ def _uniform(
     means: Means,
     used: Mask,
     array: Array | None,
-    trace: Trace | None,
+    trace: Trace,
     creep: float = 0,
 ) -> GainFit:
     """Curves of taxels that all bore the same pressure; those without a response are dead, with the mean curve."""
@@ -128,11 +123,10 @@ def _uniform(
     live, common = np.flatnonzero(~dead), CREEP_SHARE * creep
     alive = replace(points, counts=points.counts[:, live])
     form, scores = choose_form(alive, end[live], bias=common)
-    plain, (loop, bent) = fit(alive, end[live], form), (None, alive)
-    if trace is not None:
-        plays, drift = trace.of(live).plays(means.sign * end[live])[:, used], means.drift[used][:, live]
-        loop, bent = _without_loop(alive, end[live], drift, plays, form, common)
-        form, scores = choose_form(bent, end[live], bias=common) if loop else (form, scores)
+    plain = fit(alive, end[live], form)
+    plays, drift = trace.of(live).plays(means.sign * end[live])[:, used], means.drift[used][:, live]
+    loop, bent = _without_loop(alive, end[live], drift, plays, form, common)
+    form, scores = choose_form(bent, end[live], bias=common) if loop else (form, scores)
     fitted = fit(bent, end[live], form)
     offset = fitted.lever * means.no_load_noise[live] / end[live]
     placed = partial(_placed, live, end.size)
