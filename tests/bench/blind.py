@@ -21,8 +21,9 @@ from tactiled.frames import FrameSeries
 from tactiled.geometry import grid
 from tactiled.simulate.array import Surface
 from tests.bench.held_out_scenes import ALL as HELD_OUT
+from tests.bench.held_out_scenes import FINER, hertz, inside, laid
 
-SIDE, FINER = 20, 8  # taxels along each side of 1 mm, cells along each side of a taxel
+SIDE = 20  # taxels along each side of 1 mm
 RATE_HZ, FREE_S, RAMP_S, HOLD_S = 50.0, 1.0, 0.2, 1.8  # of one press
 PRESSES = 12
 PEAKS_KPA, NOISE_KPA = (50.0, 100.0), 0.2
@@ -31,10 +32,6 @@ DRIFT_KPA, DRIFT_SPREAD = 0.2, 0.25  # in a recording, of 37 s, and the spread b
 CREEP, DELAYS_S = 0.05, 10 ** np.arange(-1, 2.01, 0.25)  # of the load, a decade of time
 ROW_NOISE_KPA = 0.15  # standard deviation that the taxels of a row share, beside NOISE_KPA of each
 THICKNESS, BELIEVED = (0.5, 3.0), (0.75, 1.35)  # pitches; true over configured
-
-
-def _hertz(u, v, radius):
-    return np.sqrt(np.clip(1 - (u**2 + v**2) / radius**2, 0, None))
 
 
 def _coin(u, v, random):
@@ -67,11 +64,11 @@ def _nut(u, v, random):
 
 
 def _ball(u, v, random):
-    return _hertz(u, v, random.uniform(2, 4.5))
+    return hertz(np.hypot(u, v), random.uniform(2, 4.5))
 
 
 def _finger(u, v, random):
-    return _hertz(u, v / random.uniform(1.1, 1.5), random.uniform(3, 5)) ** random.uniform(1, 2)
+    return hertz(np.hypot(u, v / random.uniform(1.1, 1.5)), random.uniform(3, 5)) ** random.uniform(1, 2)
 
 
 OUTLINES = _coin, _ring, _ruler, _block, _key, _nut  # distances (mm) within, of what is flat and sharp
@@ -83,11 +80,8 @@ def pressed_by(draw, surface, random):
     half = surface.size / 2
     if draw in HELD_OUT:
         return draw(surface.x, surface.y, half, random)
-    (a, b), angle = random.uniform(-0.45, 0.45, 2) * half, random.uniform(0, 2 * np.pi)
-    u = (surface.x - a) * np.cos(angle) + (surface.y - b) * np.sin(angle)
-    v = (surface.y - b) * np.cos(angle) - (surface.x - a) * np.sin(angle)
-    value = draw(u, v, random)
-    return value if draw in SOFT else np.clip(value / surface.grain + 0.5, 0, 1)
+    value = draw(*laid(surface.x, surface.y, random, 0.45 * half), random)
+    return value if draw in SOFT else inside(value)
 
 
 def crept(load):

@@ -1,6 +1,7 @@
 """Presses that go on beyond the array, under covers that do: what is restored of them within it."""
 
 from collections import Counter
+from collections.abc import Iterable
 from functools import cache
 from itertools import product
 from typing import Annotated, Literal, NamedTuple
@@ -16,11 +17,11 @@ from tactiled.cli.bench import print_table
 from tactiled.contacts.detection import Finder
 from tactiled.cover.kernel import cached, solve
 from tactiled.cover.stack import Layer, Stack
-from tactiled.geometry import Array, grid, layout, raster
+from tactiled.geometry import Array, Raster, grid, layout, raster
 from tactiled.restore.methods import make
 from tactiled.simulate.array import Surface
 from tactiled.units import FORCE_SCALES, PRESSURE
-from tests.bench.held_out_scenes import FINER
+from tests.bench.held_out_scenes import FINER, hertz, inside
 from tests.bench.judge import PRESSED, WORSE
 
 Floats = NDArray[np.float64]
@@ -75,7 +76,7 @@ def contact(x: Floats, y: Floats, random: np.random.Generator) -> Floats:
     angle, kind = random.uniform(0, np.pi), random.integers(7)
     u, v = x * np.cos(angle) + y * np.sin(angle), y * np.cos(angle) - x * np.sin(angle)
     r, radius = np.hypot(u, v), random.uniform(0.8, 3.5)
-    dome = np.sqrt(np.clip(1 - (r / radius) ** 2, 0, None))
+    dome = hertz(r, radius)
     match kind:
         case 0:
             return dome
@@ -91,7 +92,7 @@ def contact(x: Floats, y: Floats, random: np.random.Generator) -> Floats:
             distance = np.minimum(random.uniform(0.3, 1.2) - np.abs(u), random.uniform(2, 8) - np.abs(v))
         case _:
             distance = np.minimum(*(random.uniform(0.8, 3) - np.abs(each) for each in (u, v)))
-    return np.clip(FINER * distance + 0.5, 0, 1)
+    return inside(distance)
 
 
 class Case(NamedTuple):
@@ -106,7 +107,7 @@ def case(name: str, surface: Surface, where: str, refine: int, random: np.random
     """Draw a press at random on an array; its middle anywhere over it, or within a pitch of its border."""
     array = taxels(name)
     middle, half = (array.positions.min(0) + array.positions.max(0)) / 2, np.ptp(array.positions, axis=0) / 2 + 0.5
-    inside = (np.abs(surface.x) < half[0]) & (np.abs(surface.y) < half[1])
+    on = (np.abs(surface.x) < half[0]) & (np.abs(surface.y) < half[1])
     noise = random.choice(NOISES)
     while True:
         place = random.uniform(-half, half)
@@ -114,26 +115,23 @@ def case(name: str, surface: Surface, where: str, refine: int, random: np.random
             axis = random.integers(2)
             place[axis] = random.choice((-1, 1)) * (half[axis] + random.uniform(-1, 1))
         fine = 100 * contact(surface.x - place[0], surface.y - place[1], random)
-        fine = fine * inside if where == "cut off" else fine
+        fine = fine * on if where == "cut off" else fine
         clean = np.ravel(surface.sense(fine))[: array.size].reshape(array.frame_shape)
-        truth = _means(array, surface, fine, middle, refine)
-        felt = raster(array, refine).felt
+        cells = raster(array, refine)
+        (truth,), felt = means(cells, surface.x + middle[0], surface.y + middle[1], [fine]), cells.felt
         if clean.max() > 100 * FAINTEST and truth[felt].max() > 100 * MIN_INSIDE:
             sigma = noise * clean.max()
             return Case((clean + random.normal(0, sigma, clean.shape)).astype(np.float32), sigma, truth)
 
 
-def _means(array: Array, surface: Surface, fine: Floats, middle: Floats, refine: int) -> Floats:
-    """Means of fine cells over those that are restored."""
-    cells = raster(array, refine)
-    (rows, columns), offset = cells.shape, middle - cells.corner
-    column, row = (
-        np.rint((each + at) / cells.side) for each, at in zip((surface.x, surface.y), offset, strict=True)
-    )
-    inside = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
-    cell = (row * columns + column)[inside].astype(int)
-    means = np.bincount(cell, fine[inside], cells.taxel.size) / np.bincount(cell, minlength=cells.taxel.size)
-    return means.reshape(cells.shape)
+def means(cells: Raster, x: Floats, y: Floats, fields: Iterable[Floats]) -> Floats:
+    """Means (n, R, C), over cells, of fields on fine cells at x, y (mm)."""
+    rows, columns = cells.shape
+    column, row = (np.rint((each - at) / cells.side) for each, at in zip((x, y), cells.corner, strict=True))
+    there = (row >= 0) & (row < rows) & (column >= 0) & (column < columns)
+    cell = (row * columns + column)[there].astype(int)
+    sums = np.stack([np.bincount(cell, each[there], rows * columns) for each in fields])
+    return (sums / np.bincount(cell, minlength=rows * columns)).reshape(-1, rows, columns)
 
 
 def border(

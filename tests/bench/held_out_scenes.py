@@ -20,17 +20,17 @@ STROKES = {  # from x y to x y, on a field of 4 x 4
 }  # fmt: skip
 
 
-def _inside(distance):
+def inside(distance):
     """1 within an outline, 0 without; `distance` to it is positive within."""
     return np.clip(FINER * distance + 0.5, 0, 1)
 
 
-def _hertz(distance, radius):
+def hertz(distance, radius):
     """A sphere's pressure over its peak, sqrt(1 - d^2/a^2)."""
     return np.sqrt(np.clip(1 - (distance / radius) ** 2, 0, None))
 
 
-def _laid(x, y, random, off):
+def laid(x, y, random, off):
     """Coordinates of what lies turned by any angle, up to `off` away from the middle along either axis."""
     (a, b), angle = random.uniform(-off, off, 2), random.uniform(0, 2 * np.pi)
     return (x - a) * np.cos(angle) + (y - b) * np.sin(angle), (y - b) * np.cos(angle) - (x - a) * np.sin(angle)
@@ -46,7 +46,7 @@ def _from_line(x, y, points):
 
 
 def _letters(x, y, half, random):
-    u, v = _laid(x, y, random, 0.15 * half)
+    u, v = laid(x, y, random, 0.15 * half)
     word = random.choice(list(STROKES), random.integers(1, 4))
     side, wide = random.uniform(0.35, 0.5) * half, random.uniform(0.3, 0.8)
     distance = np.full_like(x, np.inf)
@@ -55,75 +55,75 @@ def _letters(x, y, half, random):
         for stroke in STROKES[letter].split("/"):
             points = [(start + int(a) * side / 4, (int(b) / 4 - 0.5) * side) for a, b in stroke.split()]
             distance = np.minimum(distance, _from_line(u, v, points))
-    return _inside(wide - distance)
+    return inside(wide - distance)
 
 
 def _screws(x, y, half, random):
     total = np.zeros_like(x)
     for _ in range(random.integers(1, 4)):
-        u, v = _laid(x, y, random, 0.6 * half)
+        u, v = laid(x, y, random, 0.6 * half)
         radius, wide = random.uniform(0.15, 0.35) * half, random.uniform(0.3, 0.7)
         recess = wide - np.abs(u)
         if random.random() < 0.5:
             recess = np.minimum(np.maximum(recess, wide - np.abs(v)), 0.65 * radius - np.hypot(u, v))
         dome = 1 - 0.3 * (np.hypot(u, v) / radius) ** 2
-        total = np.maximum(total, _inside(radius - np.hypot(u, v)) * (1 - _inside(recess)) * dome)
+        total = np.maximum(total, inside(radius - np.hypot(u, v)) * (1 - inside(recess)) * dome)
     return total
 
 
 def _cables(x, y, half, random):
     total = np.zeros_like(x)
     for _ in range(random.integers(1, 4)):
-        u, v = _laid(x, y, random, 0.5 * half)
+        u, v = laid(x, y, random, 0.5 * half)
         radius, bend = random.uniform(0.5, 1.3), random.uniform(-0.4, 0.4) * half
         s = np.linspace(-1, 1, 13)
         line = list(zip(1.6 * half * s, bend * np.sin(2.5 * s + random.uniform(0, 3)), strict=True))
-        total = np.maximum(total, random.uniform(0.5, 1) * _hertz(_from_line(u, v, line), radius))
+        total = np.maximum(total, random.uniform(0.5, 1) * hertz(_from_line(u, v, line), radius))
     return total
 
 
 def _textures(x, y, half, random):
-    u, v = _laid(x, y, random, 0.3 * half)
+    u, v = laid(x, y, random, 0.3 * half)
     rough = np.zeros_like(x)
     for period, angle in zip(random.uniform(1.6, 6, 16), random.uniform(0, np.pi, 16), strict=True):
         wave = (u * np.cos(angle) + v * np.sin(angle)) / period + random.random()
         rough += np.cos(2 * np.pi * wave) / 4
-    return np.clip(0.4 + 0.5 * rough, 0, None) * _hertz(np.hypot(u, v), random.uniform(0.5, 0.8) * half)
+    return np.clip(0.4 + 0.5 * rough, 0, None) * hertz(np.hypot(u, v), random.uniform(0.5, 0.8) * half)
 
 
 def _fingertip(x, y, half, random):
-    u, v = _laid(x, y, random, 0.2 * half)
+    u, v = laid(x, y, random, 0.2 * half)
     radius, ratio = random.uniform(0.4, 0.6) * half, random.uniform(1.1, 1.5)
     core = random.uniform(-0.3, 0.3, 2) * radius
     ridges = np.hypot(u - core[0], 0.8 * (v - core[1])) / random.uniform(1.5, 2.6)
     ridges += 0.4 * np.sin(np.arctan2(v - core[1], u - core[0]) + random.uniform(0, 6))
-    return _hertz(np.hypot(u, v / ratio), radius) * (0.55 + 0.45 * np.tanh(2 * np.cos(2 * np.pi * ridges)))
+    return hertz(np.hypot(u, v / ratio), radius) * (0.55 + 0.45 * np.tanh(2 * np.cos(2 * np.pi * ridges)))
 
 
 def _gear(x, y, half, random):
-    u, v = _laid(x, y, random, 0.4 * half)
+    u, v = laid(x, y, random, 0.4 * half)
     r, teeth = np.hypot(u, v), random.integers(9, 19)
     root, height = random.uniform(0.3, 0.5) * half, random.uniform(1, 2)
     tooth = np.clip(1.5 * np.cos(teeth * np.arctan2(v, u)) + 0.5, 0, 1)
-    return _inside(np.minimum(root + height * tooth - r, r - random.uniform(0.2, 0.8) * root))
+    return inside(np.minimum(root + height * tooth - r, r - random.uniform(0.2, 0.8) * root))
 
 
 def _mesh(x, y, half, random):
-    u, v = _laid(x, y, random, 0.2 * half)
+    u, v = laid(x, y, random, 0.2 * half)
     period, wire = random.uniform(2.2, 5), random.uniform(0.35, 0.8)
-    across = [_hertz((each + period / 2) % period - period / 2, wire) for each in (u, v)]
+    across = [hertz((each + period / 2) % period - period / 2, wire) for each in (u, v)]
     over = [np.cos(np.pi * u / period), np.cos(np.pi * v / period)]  # a wire is up where it crosses over another
     woven = [across[0] * (0.6 + 0.4 * over[1]), across[1] * (0.6 - 0.4 * over[0])]
-    return np.maximum(*woven) * _inside(random.uniform(0.4, 0.8) * half - np.maximum(np.abs(u), np.abs(v)))
+    return np.maximum(*woven) * inside(random.uniform(0.4, 0.8) * half - np.maximum(np.abs(u), np.abs(v)))
 
 
 def _stone(x, y, half, random):
-    u, v = _laid(x, y, random, 0.3 * half)
+    u, v = laid(x, y, random, 0.3 * half)
     radius = random.uniform(0.4, 0.65) * half
     a, b = random.uniform(-0.5, 0.5, 2) * radius
     size, angle = random.uniform(0.7, 2), np.arctan2(v - b, u - a)
     outline = size * (1 + 0.25 * np.cos(3 * angle + random.uniform(0, 6)))
-    return random.uniform(0.2, 0.5) * _hertz(np.hypot(u, v), radius) + _inside(outline - np.hypot(u - a, v - b))
+    return random.uniform(0.2, 0.5) * hertz(np.hypot(u, v), radius) + inside(outline - np.hypot(u - a, v - b))
 
 
 def _bumps(x, y, half, random):
@@ -135,7 +135,7 @@ def _bumps(x, y, half, random):
 
 
 def _caps(x, y, half, random):
-    u, v = _laid(x, y, random, 0.3 * half)
+    u, v = laid(x, y, random, 0.3 * half)
     apart, radius = random.uniform(2.3, 2.8), random.uniform(0.6, 1)
     total = np.zeros_like(x)
     for character in range(random.integers(1, 4)):
@@ -153,20 +153,16 @@ MOTIONS = ("still", "moving", "rolling", "slipping", "appearing")
 
 def held_out(scene, skin, seed, motion="still", frame=0):
     """The pressure (kPa) of a scene on a skin's fine cells, in a frame of its motion."""
-    x, y = _places(skin)
+    x, y = skin.surface.x / skin.array.pitch, skin.surface.y / skin.array.pitch
     half, window = skin.surface.size / skin.array.pitch / 2, 1.0
     match motion:
         case "moving":
             x = x - STEP * frame
         case "rolling":  # what has touched the surface stays where it is, as long as it touches
-            window = _hertz(np.hypot(x + 0.3 * half - STEP * frame, y), 0.8 * half)
+            window = hertz(np.hypot(x + 0.3 * half - STEP * frame, y), 0.8 * half)
         case "slipping":
             slips = frame // STICK_FRAMES
             x, y = x - SLIP * slips, y - 0.07 * slips * x
         case "appearing" if frame < APPEARS:
             window = 0.0
     return PEAK_KPA * window * HELD_OUT_SCENES[scene](x, y, half, np.random.default_rng(seed))
-
-
-def _places(skin):
-    return skin.surface.x / skin.array.pitch, skin.surface.y / skin.array.pitch

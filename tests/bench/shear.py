@@ -18,7 +18,7 @@ from tactiled.geometry import Array, grid, raster
 from tactiled.restore.blur import Blur
 from tactiled.restore.methods import make
 from tactiled.restore.traction import Traction
-from tests.bench.border import APERTURE, PRESSED, contact
+from tests.bench.border import APERTURE, PRESSED, contact, means
 
 Floats = NDArray[np.float64]
 SKINS = {(4, 4): 2, (4, 6): 2, (16, 16): 1}  # rows and columns, and cells a pitch
@@ -96,27 +96,17 @@ def press(
     skin: Truth, refine: int, random: np.random.Generator, friction: float
 ) -> tuple[Floats, Floats, Floats, float]:
     """Readings (3, N) with friction and without it, the truth (3, R, C) on the cells, and the noise, in kPa."""
-    cells = raster(skin.array, refine)
-    (rows, columns), size = cells.shape, skin.array.size
-    column, row = (
-        np.rint((line - at) / cells.side) for line, at in zip((skin.x, skin.y), cells.corner, strict=True)
-    )
-    inside = ((row >= 0) & (row < rows) & (column >= 0) & (column < columns)).ravel()
-    owner = (row * columns + column).ravel()[inside].astype(int)
+    cells, size = raster(skin.array, refine), skin.array.size
     while True:
         load = loads(skin, random)
         load[1:] *= friction
         read = (skin.felt @ load.ravel()).reshape(3, size)
-        means = np.stack([np.bincount(owner, each[inside], rows * columns) for each in load])
-        means = (means / np.bincount(owner, minlength=rows * columns)).reshape(3, rows, columns)
-        if (
-            read[0].max() > MIN_READ
-            and means[0].max() > MIN_PRESSURE
-            and np.abs(means[1:]).max() >= friction * MIN_TRACTION
-        ):
+        true = means(cells, skin.x, skin.y, load.reshape(3, *skin.x.shape))
+        dragged = np.abs(true[1:]).max() >= friction * MIN_TRACTION
+        if read[0].max() > MIN_READ and true[0].max() > MIN_PRESSURE and dragged:
             noise = NOISE * read[0].max()
             pressed = skin.felt[:size, : load.shape[1]] @ load[0]
-            return *(each + random.normal(0, noise, each.shape) for each in (read, pressed)), means, noise
+            return *(each + random.normal(0, noise, each.shape) for each in (read, pressed)), true, noise
 
 
 def measure(

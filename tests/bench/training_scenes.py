@@ -9,7 +9,7 @@ from itertools import pairwise
 import numpy as np
 from scipy.ndimage import gaussian_filter
 
-from tests.bench.held_out_scenes import FINER
+from tests.bench.held_out_scenes import FINER, inside, laid
 
 SIDE = 32  # taxels along each side
 REACH = 12.0  # of a shape's middle from the array's, along either axis
@@ -35,10 +35,6 @@ def _size(random, lowest, highest):
     return np.exp(random.uniform(np.log(lowest), np.log(highest)))
 
 
-def _inside(distance):
-    return np.clip(FINER * distance + 0.5, 0, 1)
-
-
 def _dome(distance, radius):
     """A sphere's pressure, by the distance within its outline."""
     depth = np.clip(distance / radius, 0, 1)
@@ -47,9 +43,8 @@ def _dome(distance, radius):
 
 def _laid(x, y, random, off):
     """Coordinates of what lies anywhere, turned by any angle, and stretched as often as not."""
-    (a, b), angle = random.uniform(-off, off, 2), random.uniform(0, 2 * np.pi)
+    u, v = laid(x, y, random, off)
     stretch = np.exp(random.normal(0, 0.25)) if random.random() < 0.5 else 1.0
-    u, v = (x - a) * np.cos(angle) + (y - b) * np.sin(angle), (y - b) * np.cos(angle) - (x - a) * np.sin(angle)
     return u * stretch, v / stretch
 
 
@@ -79,17 +74,17 @@ def _distance(u, v, size, random):
 def _shape(u, v, size, random):
     """A shape's pressure: flat, domed, tilted, or rising from its edge; and its outline's inside."""
     distance = _distance(u, v, size, random)
-    inside = _inside(distance)
+    within = inside(distance)
     match random.integers(6):
         case 0:
-            return _dome(distance, size), inside
+            return _dome(distance, size), within
         case 1:
-            return inside * np.clip(random.uniform(0.3, 1) + random.uniform(-0.7, 0.7) * u / size, 0, None), inside
+            return within * np.clip(random.uniform(0.3, 1) + random.uniform(-0.7, 0.7) * u / size, 0, None), within
         case 2:
-            return np.clip(distance / random.uniform(0.2, 2), 0, 1), inside
+            return np.clip(distance / random.uniform(0.2, 2), 0, 1), within
         case 3:
-            return np.clip(distance / size, 0, 1) ** random.uniform(0.5, 2), inside
-    return inside, inside
+            return np.clip(distance / size, 0, 1) ** random.uniform(0.5, 2), within
+    return within, within
 
 
 def _waves(phase, random):
@@ -145,7 +140,7 @@ def _dots(x, y, random):
     for a, b in _places(random):
         own = size if alike else size * np.exp(random.normal(0, 0.3))
         distance = np.hypot(x - a, y - b)
-        dot = (_inside(own - distance), _dome(own - distance, own), np.exp(-((distance / own) ** 2)))[kind]
+        dot = (inside(own - distance), _dome(own - distance, own), np.exp(-((distance / own) ** 2)))[kind]
         total = np.maximum(total, random.uniform(0.5, 1) * dot)
     return total
 
@@ -155,14 +150,14 @@ def _shapes(x, y, random):
     total, way = np.zeros_like(x), random.integers(3)
     for _ in range(random.integers(1, 10)):
         u, v = _laid(x, y, random, REACH)
-        pressure, inside = _shape(u, v, _size(random, 0.5, 8), random)
+        pressure, within = _shape(u, v, _size(random, 0.5, 8), random)
         pressure = pressure * random.uniform(0.15, 1)
         if random.random() < 0.25:
             pressure = pressure * _texture(x, y, random)
         if random.random() < 0.15:
-            total = total * (1 - inside)
+            total = total * (1 - within)
         else:
-            total = (np.maximum(total, pressure), total + pressure, total * (1 - inside) + pressure)[way]
+            total = (np.maximum(total, pressure), total + pressure, total * (1 - within) + pressure)[way]
     return total
 
 
@@ -185,7 +180,7 @@ def _strokes(x, y, random):
             along = ((x - a) * (c - a) + (y - b) * (d - b)) / ((c - a) ** 2 + (d - b) ** 2 + 1e-9)
             along = np.clip(along, 0, 1)
             nearest = np.minimum(nearest, np.hypot(x - a - along * (c - a), y - b - along * (d - b)))
-    return _inside(half - nearest) if random.random() < 0.6 else _dome(half - nearest, half)
+    return inside(half - nearest) if random.random() < 0.6 else _dome(half - nearest, half)
 
 
 def _smooth(x, y, random):
