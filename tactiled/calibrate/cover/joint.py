@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from tactiled.arrays import Floats
-from tactiled.calibrate.cover.likelihood import Likelihood, Solution, interval, pooled, schur
+from tactiled.calibrate.cover.likelihood import Likelihood, Solution, interval, pooled
 from tactiled.calibrate.cover.search import Fitted, Touch, fine
 from tactiled.calibrate.cover.unknowns import APERTURE, FACTOR, PROFILE, SENSOR, SHARED, SIZE
 from tactiled.cover.family import FACTORS
@@ -34,13 +34,6 @@ class Joint:
     # The simplest that explains the presses with the sensor as configured: restoration is right with its factor.
     effective: Solution
     effective_deviation: float  # of its factor's logarithm
-
-    def slope(self, parameter: int) -> float:
-        """How the factor's logarithm moves with a parameter, all others being solved for."""
-        rest = [at for at in self.touch.free if at not in (FACTOR, parameter)]
-        order = [FACTOR, parameter, *rest]
-        reduced = schur(self.solution.information[np.ix_(order, order)], 2)
-        return float(-reduced[0, 1] / reduced[0, 0])
 
     def share(self, parameter: int) -> float:
         """Share of the variance of the factor's logarithm that would go if a parameter were known."""

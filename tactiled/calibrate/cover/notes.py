@@ -1,4 +1,4 @@
-"""Notes on what a person does not know exactly: what the presses show of it, and its effect on the thickness."""
+"""Notes on what a person does not know exactly: what the presses show of it, and what to measure first."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -20,27 +20,24 @@ MADE_UP = "the thickness makes up for it, and restoration is right as they are"
 
 
 class _Words(NamedTuple):
-    """One parameter: what it is, a step of it, and what presses say of it where they differ clearly."""
+    """One parameter: what it is, and what presses say of it where they differ clearly."""
 
     name: str
-    step: float
-    of_step: str
     differs: Callable[[Joint], str]
 
 
 def unknown_notes(joint: Joint) -> tuple[str, ...]:
-    """A line on what counts most for the interval, and one on all that differs clearly from what was given."""
+    """A line on what would narrow the interval most, and one on all that differs clearly from what was given."""
     words = {at: _words(joint, at) for at in joint.touch.free if at != FACTOR}
     if not words:
         return ()
     shares = sorted(((joint.share(at), at) for at in words), reverse=True)
     parts = [
-        f"{words[at].of_step} is a cover {thicker(joint.slope(at) * words[at].step)}"
+        f"{words[at].name} by {100 * (1 - max(1 - share, 0) ** 0.5):.0f} %"
         for number, (share, at) in enumerate(shares)
         if not number or share > NOTED
     ]
-    names = words[shares[0][1]].name
-    counts = f"of what is not known exactly, {names} counts most: {', '.join(parts)}"
+    counts = f"measure first what, known exactly, narrows the interval most: {', '.join(parts)}"
     if joint.misfit > MAX_MISFIT:
         return (counts,)
     is_size_unknown = isinstance(joint.touch, TipTouch) and joint.touch.tip.diameter_mm is None
@@ -73,18 +70,16 @@ def thicker(change: float) -> str:
 def _words(joint: Joint, parameter: int) -> _Words:
     touch = joint.touch
     if parameter == APERTURE:
-        return _Words("the aperture", float(np.log(1.1)), "an aperture 10 % wider", _aperture)
+        return _Words("the aperture", _aperture)
     if parameter == POISSON:
-        return _Words("Poisson's ratio", 0.02, "a Poisson's ratio 0.02 higher", _poisson)
+        return _Words("Poisson's ratio", _poisson)
     if parameter == CURVATURE:
-        return _Words("the bend of the taxels' curves", 0.01, "1 % more bend of the taxels' curves", _curvature)
+        return _Words("the bend of the taxels' curves", _curvature)
     if parameter == SIZE:
-        of, size = ("tip", 2.0) if isinstance(touch, TipTouch) else ("ridge", 1.0)
-        size *= float(np.exp(joint.solution.shared[SIZE]))
-        return _Words(f"the {of}'s size", 0.02 / size, f"a {of} 0.02 mm wider", _size)
+        return _Words(f"the {'tip' if isinstance(touch, TipTouch) else 'ridge'}'s size", _size)
     if isinstance(touch, EdgeTouch) and np.isinf(touch.width):
-        return _Words("the edge's blur", 0.01, "an edge blurred by 0.1 mm", _blur)
-    return _Words("how the load spreads", -0.1, "a load somewhat harder at its rim", _profile)
+        return _Words("the edge's blur", _blur)
+    return _Words("how the load spreads", _profile)
 
 
 def _aperture(joint: Joint) -> str:

@@ -1,5 +1,6 @@
 """What a person does not know exactly: its place in the model, in the interval, and in words."""
 
+import re
 from dataclasses import replace
 from types import SimpleNamespace
 from unittest.mock import Mock
@@ -111,19 +112,23 @@ def test_a_wrong_aperture_is_held_by_the_interval_named_and_made_up_for():
     assert fit.interval[0] < factor < fit.interval[1]
     assert fit.thickness_error < (fit.interval[1] - fit.interval[0]) / (2 * 1.96 * fit.factor)
     assert any(each.startswith("the presses look like those on an aperture of 0.") for each in fit.notes)
-    assert any("the aperture counts most: an aperture 10 % wider is a cover" in each for each in fit.notes)
+    assert any("narrows the interval most: the aperture by " in each for each in fit.notes)
     assert fit.objection == ""
 
 
-def test_what_is_exactly_known_does_not_count():
+def test_what_is_exactly_known_does_not_count_and_the_first_to_measure_narrows_as_the_note_says():
     presses = pressed(ARRAY, 1.0, count=8)
     exact = Unknowns(aperture_mm=0, poisson=0, curvature=0, profile=0)
-    widths = []
-    for unknowns in (Unknowns(), exact):
-        touch = tip_touch(presses, ARRAY, rubber(1.2), Tip(TIP_MM, 0.001), 0.01, None, unknowns)
-        fit = fit_cover(touch, presses, "tip")
-        widths.append(fit.interval[1] - fit.interval[0])
-    assert widths[1] < 0.6 * widths[0]
+    fits = [
+        fit_cover(tip_touch(presses, ARRAY, rubber(1.2), Tip(TIP_MM, 0.001), 0.01, None, each), presses, "tip")
+        for each in (Unknowns(), Unknowns(aperture_mm=0), exact)
+    ]
+    usual, known, least = (fit.interval[1] - fit.interval[0] for fit in fits)
+    assert least < 0.6 * usual
+    ((name, percent),) = re.findall(r"narrows the interval most: ([a-z ]+) by (\d+) %", fits[0].notes[0])
+    assert name == "the aperture"
+    assert 1 - known / usual == pytest.approx(int(percent) / 100, abs=0.05)
+    assert "aperture" not in " ".join(fits[1].notes)
 
 
 def test_a_blurred_edge_is_refused_with_what_to_do():
