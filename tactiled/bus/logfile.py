@@ -19,6 +19,11 @@ from tactiled.bus.textlog import FormatError, Logged, Remarks
 MAX_LINE_CHARACTERS = 1 << 16  # a message's line has some hundreds, whatever the format
 MAX_BLOCK_BYTES = 16 << 20  # of a .blf file's container, packed or unpacked; most are of 128 KiB
 PEEKED_BYTES = 512  # of a file, to tell its format
+END_BYTES = 4096  # of either end, to tell its duration: over ten lines of messages
+LINE_TIMES = {  # s, at the beginning of a message's line
+    ".log": re.compile(rb"^\(([0-9]{1,12}\.[0-9]{1,12})\) ", re.MULTILINE),
+    ".asc": re.compile(rb"^ *([0-9]{1,12}\.[0-9]{1,12}) +(?:CANFD +)?[0-9]+ ", re.MULTILINE),
+}
 PYTHON_CAN = bytes([5, 0, 0, 0, 2, 6, 8, 1])  # in the head of a .blf file that it wrote, in UTC
 CAN_ERROR = 2  # an object of .blf; those of which python-can makes messages:
 MESSAGES = {
@@ -165,6 +170,29 @@ def _kind(path: Path) -> tuple[str, bool]:
     suffixes = [each.lower() for each in path.suffixes]
     packed = suffixes[-1:] == [".gz"]
     return "".join(suffixes[-2:-1] if packed else suffixes[-1:]), packed
+
+
+def duration_s(path: Path) -> float | None:
+    """Time (s) from the first to the last message by the two ends of a file; None where they do not tell it.
+
+    They do not in a file that is packed or has times since the message before, nor in a .blf before its end.
+    """
+    kind, packed = _kind(path)
+    with path.open("rb") as file:
+        head = file.read(END_BYTES)
+        file.seek(max(0, file.seek(0, io.SEEK_END) - END_BYTES))
+        tail = file.read(END_BYTES)
+    if packed or b" relative" in head:
+        return None
+    if kind == ".blf" and head.startswith(b"LOGG") and len(head) > blf.FILE_HEADER_STRUCT.size:
+        dates = blf.FILE_HEADER_STRUCT.unpack_from(head)[-16:]
+        times = [blf.systemtime_to_timestamp(each) for each in (dates[:8], dates[8:]) if each[0]]  # years
+    elif kind in LINE_TIMES:
+        starts, ends = (LINE_TIMES[kind].findall(each) for each in (head, tail))
+        times = [float(each) for each in (*starts[:1], *ends[-1:])]
+    else:
+        return None
+    return times[1] - times[0] if len(times) == 2 and times[0] <= times[1] else None
 
 
 def is_streamed(path: Path) -> bool:

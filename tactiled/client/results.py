@@ -76,6 +76,7 @@ class Recording:
     unreadable: int | None  # messages lost: the interface could not decode them
     error: str | None  # why it ended early
     modified: float | None = None  # s, Unix time of its last message, or of its upload; None: it was removed
+    duration_s: float | None = None  # from its first to its last message; None: not known without reading it all
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 import can
 import pytest
 
-from tactiled.bus.logfile import WRITERS
+from tactiled.bus.logfile import WRITERS, duration_s
 from tactiled.bus.reader import open_bus
 from tactiled.bus.recorder import ChunkFile, Recorder, record
 from tactiled.bus.recording import Recording
@@ -60,12 +60,14 @@ def numbers(path):
 def test_every_format_gives_back_the_traffic_of_the_bus(tmp_path, ending, channel):
     path, empty = tmp_path / f"a{ending}", tmp_path / f"empty{ending}"
     Recorder(empty).close()
-    assert read(empty) == []
+    assert (read(empty), duration_s(empty)) == ([], None)
     recorder = Recorder(path)
     for each in MESSAGES:
         each.channel = channel
         recorder.put(each)
+    assert duration_s(path) is None
     recorder.close()
+    assert duration_s(path) == (None if path.suffix == ".gz" else pytest.approx(1.25, abs=1e-3))
     assert recorder.written == len(MESSAGES)
     messages = read(path)
     assert contents(messages) == contents(MESSAGES)

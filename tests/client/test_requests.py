@@ -158,6 +158,7 @@ def test_a_recording_is_uploaded_listed_and_downloaded(recorder, tmp_path):
     for name in ("a.log", "b.log"):
         added = client.upload(source, name)
         assert (added.name, added.bytes, added.running, added.error) == (name, len(content), False, None)
+        assert added.duration_s == pytest.approx(0.28225)
     assert [each.name for each in client.recordings()] == ["a.log", "b.log"]
     assert client.recordings("a.log") == (added,)
     client.download("a.log", copy)

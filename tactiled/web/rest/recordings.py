@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, suppress
 from datetime import UTC, datetime
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 from threading import Event, Lock, Thread
 from typing import Annotated, Any
@@ -20,6 +20,7 @@ from starlette.datastructures import Headers
 from starlette.types import Message, Receive, Scope, Send
 
 from tactiled.bounds import WORD, Syntax
+from tactiled.bus.logfile import duration_s
 from tactiled.bus.reader import open_bus
 from tactiled.bus.recorder import Recorder, record
 from tactiled.bus.recording import Recording as Recorded
@@ -65,6 +66,11 @@ class Recording(schemas.Schema):
     name: str = Field(examples=["grasp.log"])
     bytes: int | None = Field(description="null: its file was removed or renamed", examples=[48231])
     modified: float | None = Field(None, description="Unix time of its last message, or of its upload, s")
+    duration_s: float | None = Field(
+        None,
+        description="from its first to its last message, s; null: not known without reading it all",
+        examples=[12.5],
+    )
     running: bool = Field(examples=[True])
     bus: str | None = Field(None, description="null: recorded before this start of the service")
     messages: int | None = Field(None, description="on the disk so far", examples=[1025])
@@ -265,9 +271,10 @@ class Recordings:
         """One as it is now."""
         path, run = self._folder / name, self._runs.get(name)
         running = run is not None and run.is_alive()  # before its size: it grows until it has ended
-        file = {"name": name, "running": running, "bytes": None, "modified": None}
+        file = dict[str, object](name=name, running=running, bytes=None)
         if status := _status(path):
             file |= {"bytes": status.st_size, "modified": status.st_mtime}
+            file["duration_s"] = _duration_s(path, status.st_size, status.st_mtime_ns)
         return Recording(**Recording.shared(run) | file)  # a thread has a name of its own
 
 
@@ -300,6 +307,14 @@ def _status(path: Path) -> os.stat_result | None:
     except OSError:
         return None
     return status if stat.S_ISREG(status.st_mode) else None
+
+
+@lru_cache(maxsize=1000)
+def _duration_s(path: Path, _size: int, _modified_ns: int) -> float | None:
+    """That of a file as it was then; None also where it cannot be read."""
+    with suppress(OSError):
+        return duration_s(path)
+    return None
 
 
 def make(recordings: Recordings) -> APIRouter:

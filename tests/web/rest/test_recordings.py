@@ -299,7 +299,7 @@ def test_a_recording_whose_file_is_renamed_keeps_its_name_until_it_is_stopped(ap
     assert (file["name"], file["running"]) == ("b.log", False)
     for refused in (*api.read_and_delete("a.log"), api.start("a.log", "can1")):
         assert problem(refused, 409) == "recording a.log: runs: stop it first"
-    ended = {"name": "a.log", "bytes": None, "modified": None, "running": False}
+    ended = {"name": "a.log", "bytes": None, "modified": None, "duration_s": None, "running": False}
     ended |= {"bus": "can0", "messages": 10, "unreadable": 0}
     for _ in range(2):
         assert api.stop("a.log").json() == ended | {"error": None}

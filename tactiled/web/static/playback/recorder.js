@@ -2,7 +2,7 @@
 
 import * as api from "../wire/api.js";
 import { byId, confirmed, element, setText } from "../shell/dom.js";
-import { byteText, dateText } from "../shell/format.js";
+import { byteText, dateText, duration } from "../shell/format.js";
 import { notice } from "../shell/notice.js";
 import { withToken } from "../wire/token_dialog.js";
 
@@ -142,6 +142,7 @@ function describe(recording) {
   const size = recording.bytes === null ? "file moved or removed" : byteText(recording.bytes);
   const messages = recording.messages === null ? "" : `, ${recording.messages} messages`;
   const when = recording.modified ? `${dateText(recording.modified, "short")}, ` : "";
+  const length = recording.duration_s === null ? "" : `${duration(recording.duration_s)}, `;
   const state = recording.running ? `recording ${recording.bus}, ` : when;
-  return `${state}${size}${messages}${recording.error ? `, ended early: ${recording.error}` : ""}`;
+  return `${state}${length}${size}${messages}${recording.error ? `, ended early: ${recording.error}` : ""}`;
 }

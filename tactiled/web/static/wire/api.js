@@ -48,8 +48,8 @@ const APPLY_TIMEOUT_MS = 60_000; // a cover is solved
  * `bytes` is null where the file was moved or removed, `messages` where this service did not start the recording;
  * `error` says why it ended early.
  * @typedef {{
- *   name: string, bytes: number|null, modified: number|null, running: boolean, bus: string|null,
- *   messages: number|null, error: string|null
+ *   name: string, bytes: number|null, modified: number|null, duration_s: number|null, running: boolean,
+ *   bus: string|null, messages: number|null, error: string|null
  * }} Recording
  */
 
