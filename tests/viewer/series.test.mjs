@@ -149,9 +149,9 @@ test("a report has the values of its frame, and takes no name for HTML", () => {
   const trace = new ForceTrace(4);
   trace.push(1, 0.039, 0.078);
   const html = reportHtml({
-    title: "palm <b>", frame, plane: ROW, origin: [["sensor", "a&b"]], pictures: [["Maps", "data:,"]], contacts: [],
+    title: "palm <b>", frame, plane: ROW, origin: [["sensor", "a&b"]], pictures: [{ title: "Maps", address: "data:,", key: [] }, { title: "Pressure", address: "data:,", key: [{ name: "<i>raw, kPa", color: "#a35200", dash: "8,4", isBand: false }, { name: "± 2 s.d., kPa", color: "#0b62a8", dash: "", isBand: true }] }], contacts: [],
     regions: [["<i>heel", { force: 0.06, mean: 60, peak: 60, area: 1 }], ["toe", null]], trace, colors: { text: "#eee", muted: "#999", panel: "#111" },
   });
-  for (const text of ["palm &#60;b&#62;", "a&#38;b", "<td>0.0780</td>", "<td>60.0</td>", "<td>3.00</td>", "&#60;i&#62;heel", "1.000,0.039,0.078", "<td>–</td>", "color: #eee; background: #111;"]) assert.ok(html.includes(text), text);
+  for (const text of ["palm &#60;b&#62;", "a&#38;b", "<td>0.0780</td>", "<td>60.0</td>", "<td>3.00</td>", "&#60;i&#62;heel", "1.000,0.039,0.078", "<td>–</td>", '<path d="M0 6H28" stroke="#a35200" stroke-dasharray="8,4" stroke-width="3"/></svg>&#60;i&#62;raw, kPa</li><li>', "± 2 s.d., kPa</li></ul>", "color: #eee; background: #111;"]) assert.ok(html.includes(text), text);
   assert.ok(!/<b>|<i>|https?:/.test(html));
 });

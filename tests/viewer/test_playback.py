@@ -111,6 +111,7 @@ def test_a_recording_plays_is_sought_and_stepped_through_and_the_live_view_is_ba
         page.locator("#save-report").click()
     html = report.value.path().read_text()
     assert html.count("data:image/png") == 3
+    assert re.findall(r"</svg>(.*?)</li>", html) == ["raw, kPa", "restored, kPa", "raw, N"]  # no band, one force
     assert "grasp.log at 0:01.0" in html
     page.press("l")
     page.wait(f"{LEVEL} === 'stale' && {FRAME} === '{rig.sequence}'")

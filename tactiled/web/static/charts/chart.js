@@ -171,6 +171,7 @@ export class Chart {
     if (size && painted.left === left && painted.right === right && painted.bottom === bottom && painted.top === top
       && painted.x === x && painted.y === y && painted.ratio === ratio && painted.ink === ink) return;
     this._paintedAxes = { left, right, bottom, top, x, y, ratio, ink };
+    canvas.dataset.unit = y;
     draw.canvas.width = canvas.width; // which clears it, too
     draw.canvas.height = canvas.height;
     draw.setTransform(ratio, 0, 0, ratio, 0, 0);

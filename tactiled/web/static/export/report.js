@@ -10,13 +10,16 @@ import { FORCE_UNITS, UNITS, forceNumber } from "../shell/units.js";
 /** @import { ThemeColors } from "../shell/dom.js" */
 /** @import { Contact } from "../wire/sensor_stream.js" */
 
+/** @typedef {{name: string, color: string, dash: string, isBand: boolean}} KeyEntry a line of a chart, named with its unit */
+/** @typedef {{title: string, address: string, key: KeyEntry[]}} Picture */
+
 /**
  * @typedef {object} Reported
  * @property {string} title
  * @property {Frame} frame
  * @property {Plane} plane
  * @property {[string, string][]} origin name and value of what is said of the frame
- * @property {[string, string][]} pictures title and address of each; the maps first
+ * @property {Picture[]} pictures the maps first
  * @property {Contact[]} contacts
  * @property {[string, RegionMeasures|null][]} regions by name
  * @property {ForceTrace|null} trace of the force; null where it has none
@@ -25,7 +28,7 @@ import { FORCE_UNITS, UNITS, forceNumber } from "../shell/units.js";
 
 /** @param {Pick<ThemeColors, "text"|"muted"|"panel">} colors that the pictures have, too @returns {string} */
 const styleOf = ({ text, muted, panel }) => `body { max-width: 1100px; margin: 24px auto; padding: 0 16px; color: ${text}; background: ${panel}; font: 15px/1.45 system-ui, sans-serif; }
-img { max-width: 100%; } figure { margin: 18px 0; } table { border-collapse: collapse; margin: 10px 0 18px; }
+.key { display: flex; flex-wrap: wrap; gap: 2px 18px; margin: 2px 0; padding: 0; list-style: none; } img { max-width: 100%; } figure { margin: 18px 0; } table { border-collapse: collapse; margin: 10px 0 18px; }
 th, td { padding: 3px 14px 3px 0; text-align: right; font-variant-numeric: tabular-nums; } th:first-child, dt { text-align: left; color: ${muted}; font-weight: 400; }
 dl { display: grid; grid-template-columns: max-content 1fr; gap: 2px 16px; } dd { margin: 0; }`;
 
@@ -70,8 +73,13 @@ export function reportHtml({ title, frame, plane, origin, pictures, contacts, re
     + `<body><h1>${escaped(title)}</h1>\n${sections.join("\n")}\n</body></html>\n`;
 }
 
-/** @param {[string, string]} picture @returns {string} */
-const figure = ([title, address]) => `<figure><img src="${address}" alt="${escaped(title)}"><figcaption>${escaped(title)}</figcaption></figure>`;
+/** @param {Picture} picture @returns {string} */
+const figure = ({ title, address, key }) =>
+  `<figure><img src="${address}" alt="${escaped(title)}"><figcaption>${escaped(title)}${key.length ? `<ul class="key">${key.map(entry).join("")}</ul>` : ""}</figcaption></figure>`;
+
+/** @param {KeyEntry} entry @returns {string} */
+const entry = ({ name, color, dash, isBand }) =>
+  `<li><svg width="34" height="12" aria-hidden="true"><path d="M0 6H28" stroke="${color}" stroke-dasharray="${dash}" ${isBand ? 'stroke-width="10" opacity="0.35"' : 'stroke-width="3"'}/></svg>${escaped(name)}</li>`;
 
 /** @param {ForceTrace} trace @param {string} unit @returns {string} */
 function traceCsv(trace, unit) {

@@ -23,6 +23,7 @@ import { withToken } from "../wire/token_dialog.js";
 /** @import { CalibrationPage } from "../calibration/calibration_page.js" */
 /** @import { Colormap } from "../maps/colormap.js" */
 /** @import { Frame } from "../wire/frame_history.js" */
+/** @import { KeyEntry } from "../export/report.js" */
 /** @import { PageText } from "./page_text.js" */
 /** @import { PlaybackPage } from "../playback/playback_page.js" */
 /** @import { Recorder } from "../playback/recorder.js" */
@@ -221,11 +222,25 @@ function report(of, viewer) {
     frame,
     plane: session.plane,
     origin: originOf(of, viewer),
-    pictures: [["Maps", finePicture(of, viewer).toDataURL()], ...charts.map((each) => /** @type {[string, string]} */ ([each.ariaLabel ?? "", onPanel(each)]))],
+    pictures: [
+      { title: "Maps", address: finePicture(of, viewer).toDataURL(), key: [] },
+      ...charts.map((each) => ({ title: each.ariaLabel ?? "", address: onPanel(each), key: keyOf(each) })),
+    ],
     contacts: viewer.contactsOfFrame?.contacts ?? [],
     regions: viewer.regions?.measured() ?? [],
     trace: session instanceof PlaybackSession ? null : session.history.trace,
     colors: themeColors(),
+  });
+}
+
+/** @param {HTMLCanvasElement} chart @returns {KeyEntry[]} what its lines are, as on the page */
+function keyOf(chart) {
+  const entries = /** @type {HTMLElement[]} */ ([...(chart.parentElement?.querySelector(".key, #plot-key")?.children ?? [])]);
+  return entries.filter((each) => each.offsetWidth).map((each) => {
+    const sample = each.querySelector("path");
+    const { color, stroke } = getComputedStyle(sample ?? each);
+    const name = `${each.textContent?.replace(" ✕", "")}, ${chart.dataset.unit}`;
+    return { name, color: sample ? stroke : color, dash: sample?.getAttribute("stroke-dasharray") ?? "", isBand: each.classList.contains("band") };
   });
 }
 
