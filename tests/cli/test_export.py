@@ -1,11 +1,13 @@
 import csv
 import json
+import resource
 import shutil
-import subprocess
+import signal
 import sys
 import tracemalloc
 from base64 import b64decode
 from collections import defaultdict
+from contextlib import contextmanager
 from itertools import chain
 from types import SimpleNamespace
 
@@ -22,6 +24,7 @@ from tactiled.archive.arrays import METHOD_NAME, Hdf5Writer, NpzWriter
 from tactiled.archive.zarr_group import ZarrWriter
 from tactiled.build import make_codec, sensor_plan
 from tactiled.bus import recording
+from tactiled.cli.app import STOP_SIGNALS, handled, main
 from tactiled.config import load, parse
 from tactiled.config.example import GRASP
 from tactiled.contacts.regions import Region
@@ -34,7 +37,7 @@ from tests.cli.commands import refusal, succeed
 from tests.cli.recordings import CONFIG, FRAMES, HEEL, traffic, write
 from tests.cli.test_export_zarr import open_zarr
 from tests.cli.test_replay import images
-from tests.conftest import BUSY_S, until
+from tests.conftest import until
 from tests.diagnostics.test_checks import NOISE, SIDE, sense
 from tests.interop.test_foxglove_live import pressures
 from tests.skin import CONFIG as SKIN
@@ -357,74 +360,86 @@ def test_wrong_files_are_refused_and_nothing_is_written(tmp_path, config, lossy)
     assert old.read_text() == "old"
 
 
-# An export in a fork of its own for each case, in which `fault` runs at frame 30; prints how each ended.
-WITH_FAULT = """
-import json, os, resource, shutil, signal, sys, tempfile
-from pathlib import Path
-from tactiled.archive import export
-from tactiled.cli import app
+@contextmanager
+def full_disk(size):
+    """A disk that takes files of so many bytes at most."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    try:
+        yield lambda *_: resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
-process = export.Pipeline.process
 
-def run(log, config, out, fault):
+@contextmanager
+def export_with(fault, monkeypatch):
+    """Have `fault` happen at frame 30 of an export."""
+    process = Pipeline.process
+
     def faulty(self, frame):
         if frame.sequence == 30:
-            exec(fault, globals() | {"log": log, "out": out})
+            fault()
         return process(self, frame)
-    export.Pipeline.process = faulty
-    sys.argv = ["tactiled", "export", log, "--config", config, "-o", out]
-    sys.exit(app.main())
 
-def ended(*case):
-    with tempfile.TemporaryFile("w+") as errors:
-        if (child := os.fork()) == 0:
-            os.dup2(errors.fileno(), 2)
-            run(*case)
-        status = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
-        errors.seek(0)
-        return status, errors.read()
-
-print(json.dumps([ended(*case) for case in json.loads(sys.argv[1])]))
-"""
+    with monkeypatch.context() as patch:
+        patch.setattr(Pipeline, "process", faulty)
+        yield
 
 
-REMOVED, FULL = "shutil.rmtree(Path(out).parent)", "resource.setrlimit(resource.RLIMIT_FSIZE, ({0}, {0}))"
-FAULTS = [
-    ("npz", "Path(out).write_text('old')", "is there already: name another file, or remove it first"),
-    ("mcap", REMOVED, "No such file or directory: nothing is written"),
-    ("npz", "Path(log).unlink()", "a.log: No such file or directory"),
-    ("npz", "os.kill(os.getpid(), signal.SIGTERM)", "interrupted"),
-    ("h5", "os.kill(os.getpid(), signal.SIGINT)", "interrupted"),
-    ("mcap", "os.kill(os.getpid(), signal.SIGKILL)", ""),
-    # a full disk, in bytes of 62 094, 54 552 and 28 201
-    ("npz", FULL.format(50_000), "File too large: nothing is written"),
-    ("h5", FULL.format(1000), "File too large: nothing is written"),
-    ("h5", FULL.format(50_000), "File too large: nothing is written"),
-    ("mcap", FULL.format(20_000), "File too large: nothing is written"),
-    ("parquet", FULL.format(1000), "File too large: nothing is written"),
-    ("csv", FULL.format(10_000), "File too large: nothing is written"),
-    ("rrd", FULL.format(10_000), "nothing is written"),
-]
+@pytest.mark.parametrize(
+    ("ending", "fault", "message"),
+    [
+        ("npz", lambda _, out: out.write_text("old"), "is there already: name another file, or remove it first"),
+        ("mcap", lambda _, out: shutil.rmtree(out.parent), "No such file or directory: nothing is written"),
+        ("npz", lambda log, _: log.unlink(), "a.log: No such file or directory"),
+    ],
+)
+def test_an_export_whose_files_change_meanwhile_is_refused(
+    tmp_path, config, lossy, monkeypatch, ending, fault, message
+):
+    out = tmp_path / "out" / f"a.{ending}"
+    out.parent.mkdir()
+    with export_with(lambda: fault(lossy, out), monkeypatch):
+        assert message in refusal("export", lossy, "--config", config, "-o", out)
+    files = list(out.parent.iterdir()) if out.parent.exists() else []
+    assert [each.read_text() for each in files] == ["old"] * ("already" in message)
 
 
-def test_an_export_that_cannot_end_is_one_line_and_leaves_nothing(tmp_path, config, lossy):
-    outs = [tmp_path / str(number) / f"a.{ending}" for number, (ending, *_) in enumerate(FAULTS)]
-    cases = []
-    for out, (_, fault, _) in zip(outs, FAULTS, strict=True):
-        out.parent.mkdir()
-        log = shutil.copy(lossy, tmp_path / f"{out.parent.name}.a.log")
-        cases.append([*map(str, (log, config, out)), fault])
-    command = [sys.executable, "-c", WITH_FAULT, json.dumps(cases)]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=4 * BUSY_S, check=True)
-    for (_, fault, message), out, (status, errors) in zip(FAULTS, outs, json.loads(done.stdout), strict=True):
-        if "SIGKILL" in fault:
-            assert (status, out.exists()) == (-9, False)
-            continue
-        assert status == (130 if "kill" in fault else 2), (fault, errors)
-        assert len(errors.splitlines()) == 1, (fault, errors)
-        assert message in errors, fault
-        files = list(out.parent.iterdir()) if out.parent.exists() else []
-        assert [each.read_text() for each in files] == (["old"] if "old" in fault else []), fault
+# Bytes that the disk takes, of 62 094, 54 552, 28 201 and fewer.
+@pytest.mark.parametrize(
+    ("ending", "size"),
+    [
+        ("npz", 50_000),
+        ("h5", 1000),
+        ("h5", 50_000),
+        ("mcap", 20_000),
+        ("parquet", 1000),
+        ("csv", 10_000),
+        ("rrd", 10_000),
+    ],
+)
+def test_a_full_disk_is_one_line_and_leaves_nothing(tmp_path, config, lossy, monkeypatch, ending, size):
+    before = sorted(tmp_path.iterdir())
+    with full_disk(size) as fills, export_with(fills, monkeypatch):
+        line = refusal("export", lossy, "--config", config, "-o", tmp_path / f"a.{ending}")
+    assert "nothing is written" in line
+    assert "File too large" in line or ending == "rrd"
+    assert sorted(tmp_path.iterdir()) == before
+
+
+@pytest.mark.parametrize(("ending", "kind"), [("npz", signal.SIGTERM), ("h5", signal.SIGINT)])
+def test_an_interrupted_export_leaves_nothing(tmp_path, config, lossy, monkeypatch, capsys, ending, kind):
+    words = "tactiled", "export", lossy, "--config", config, "-o", tmp_path / f"a.{ending}"
+    monkeypatch.setattr(sys, "argv", [*map(str, words)])
+    before = sorted(tmp_path.iterdir())
+    with (
+        handled(signal.default_int_handler, *STOP_SIGNALS),
+        export_with(lambda: signal.raise_signal(kind), monkeypatch),
+        pytest.raises(SystemExit) as end,
+    ):
+        main()
+    assert end.value.code == 130
+    assert capsys.readouterr().err == "tactiled: interrupted: unfinished files are removed\n"
+    assert sorted(tmp_path.iterdir()) == before
 
 
 @pytest.mark.parametrize(
