@@ -1,24 +1,25 @@
 """Boards that answer as the public sources of their protocols say, and refuse what these do not send."""
 
-from tactiled.bus.assembler import Assembler
 from tactiled.bus.polling import Poller
+from tactiled.bus.router import Router
 from tactiled.frames import Message
 
 
 def frames_of(codec, board, seconds):
     """The frames that a board sends to whoever starts and asks it as the codec says, for so long."""
-    poller, assembler, frames, now = Poller([codec.polling]), Assembler(codec), [], 0.0
+    poller, router, frames, now = Poller([codec.polling]), Router({"it": codec}), [], 0.0
 
     def send(message):
         for each in board.receive(message):
-            frames.extend(frame for _, frame in assembler.push(each._replace(time=now)))
+            frames.extend(frame for _, frame in router.push(each._replace(time=now)))
 
     poller.start(now)
     while now <= seconds:
         poller.send_due(send, now)
         now += poller.wait_s(now)
     poller.stop(send)
-    assert assembler.loss.malformed == 0
+    loss = router.assemblers["it"].loss
+    assert (loss.malformed, loss.foreign) == (0, 0)
     return frames
 
 

@@ -66,28 +66,24 @@ def test_a_linker_hand_answers_its_requests_with_every_taxel(layout, fingers, sh
         assert not frame.flags.any()
 
 
-def test_an_l30_answers_its_requests_with_every_taxel():
-    matrices = {each: np.random.default_rng(each).integers(0, 256, (12, 6), np.uint8) for each in (1, 5)}
-    frames = frames_of(LinkerL30(3, (5, 1)), LinkerL30Hand(3, matrices), 0.18)
-    assert len(frames) == 4
-    for frame in frames:
-        np.testing.assert_array_equal(frame.counts, [*matrices[5].ravel(), *matrices[1].ravel()])
-        assert not frame.flags.any()
+RNG = np.random.default_rng(4)
+THUMB, LITTLE = RNG.integers(0, 256, (2, 12, 6), np.uint8)
+CELLS = RNG.integers(0, 0x1000, 24).tolist()
+TIP, PALM = bytes(range(1, 17)), bytes(range(50, 75))
 
 
-def test_a_barrett_pad_is_set_to_the_full_format_and_asked_for_every_frame():
-    cells = np.random.default_rng(4).integers(0, 0x1000, 24).tolist()
-    frames = frames_of(Barrett(11, 20.0), TactilePuck(11, cells), 0.16)
-    assert len(frames) == 5  # one to the format itself
-    assert all(frame.counts.tolist() == cells for frame in frames)
-    assert not np.any([frame.flags for frame in frames])
-
-
-def test_an_omnihand_answers_its_requests_with_every_taxel():
-    finger, palm = bytes(range(1, 17)), bytes(range(50, 75))
-    frames = frames_of(OmniHand(3, "left", (4, 6)), OmniHand2025(3, {4: finger, 6: palm}), 0.16)
-    assert len(frames) == 4
-    assert all(frame.counts.tolist() == [*finger[::-1], *palm] for frame in frames)
+@pytest.mark.parametrize(
+    ("codec", "board", "counts", "frames"),
+    [
+        (LinkerL30(3, (5, 1)), LinkerL30Hand(3, {1: THUMB, 5: LITTLE}), [*LITTLE.ravel(), *THUMB.ravel()], 4),
+        (Barrett(11, 20.0), TactilePuck(11, CELLS), CELLS, 5),  # one to the setting of its full format
+        (OmniHand(3, "left", (4, 6)), OmniHand2025(3, {4: TIP, 6: PALM}), [*TIP[::-1], *PALM], 4),
+    ],
+)
+def test_a_board_answers_every_request_with_every_taxel(codec, board, counts, frames):
+    got = frames_of(codec, board, 0.18)
+    assert [each.counts.tolist() for each in got] == [counts] * frames
+    assert not np.any([each.flags for each in got])
 
 
 def test_an_older_xela_board_is_started_and_stopped():

@@ -154,7 +154,7 @@ def test_a_driver_that_fails_without_end_is_a_bus_that_is_gone():
     bus = Failing(ValueError("no such thing"))
     reader = Reader(bus, "it")
     with pytest.raises(BusError, match="bus it: no such thing"):
-        until(lambda: reader.receive(0.0))
+        list(map(reader.receive, [0.0] * (MAX_UNREADABLE_IN_A_ROW + 1)))
     assert (reader.unreadable, bus.calls) == (MAX_UNREADABLE_IN_A_ROW, MAX_UNREADABLE_IN_A_ROW + 1)
 
 

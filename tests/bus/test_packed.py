@@ -32,15 +32,6 @@ def test_the_layout_is_the_one_in_the_guide(bits, fd, size, sequence, seed):
     np.testing.assert_array_equal(codec.unpack([read_one(codec, each).payload for each in messages]), counts)
 
 
-def test_golden_bytes():
-    first, second = Packed(6).encode(np.array([0xABC, 0x123, 0xFFF, 1, 2, 3], np.uint16), 7, 0.0)
-    assert (first.data.hex(), second.data.hex()) == ("0700bc3a12ff1f00", "0701023000")
-    assert (first.id, first.extended, first.fd) == (0x500, False, False)
-    (padded,) = Packed(8, bits=10, fd=True, array_id=3).encode(np.arange(8, dtype=np.uint16), 255, 0.0)
-    assert (len(padded.data), padded.id, padded.fd, padded.data[:2].hex()) == (12, 0x503, True, "ff00")
-    assert int.from_bytes(padded.data[2:], "little") == sum(n << (10 * n) for n in range(8))
-
-
 @pytest.mark.parametrize(
     "message",
     [

@@ -1,12 +1,9 @@
-"""Skins that must be asked or started: what is sent to them, and when; end to end on the virtual bus."""
+"""Skins that must be asked or started: what is sent to them, and when."""
 
 import time
-from threading import Event, Thread
 
-import numpy as np
 import pytest
 
-from tactiled.build import make_array, make_codec, make_stack
 from tactiled.bus.codecs.barrett import Barrett
 from tactiled.bus.codecs.icub import Icub
 from tactiled.bus.codecs.linker import Linker
@@ -14,14 +11,10 @@ from tactiled.bus.codecs.omnihand import OmniHand
 from tactiled.bus.codecs.packed import Packed
 from tactiled.bus.codecs.xela import Xela
 from tactiled.bus.polling import START_AGAIN_S, Poll, Poller, Polling
-from tactiled.bus.reader import open_bus
-from tactiled.calibrate.counts.calibration import Calibration
 from tactiled.config import parse
-from tactiled.cover.kernel import solve
 from tactiled.errors import BusError
 from tactiled.frames import Message
 from tactiled.live.service import Service
-from tactiled.simulate import answer, player
 from tests.conftest import until
 
 FIRST, SECOND = (Poll(Message(0.0, 0x27, bytes((each, 0xC6))), 0.1, range(1)) for each in (0xB1, 0xB2))
@@ -220,34 +213,3 @@ def test_skins_are_started_and_asked_again_when_the_bus_is_back_and_unsent_messa
         assert len(opened) == 2
         assert hand.status().loss.unsent == unsent
     assert payloads_on(0x20D) == STARTS + STOPS
-
-
-def test_a_polled_hand_is_asked_and_its_answers_are_served(request):
-    """The simulator stands in for the hand: it sends nothing but when it is asked."""
-    text = CONFIG.split("[sensor.board]")[0].replace("[sensor", f'channel = "{request.node.name}"\n[sensor')
-    config = parse(text + "calibration = { kpa_per_count = 0.5 }\n")
-    (settings,) = config.sensor.values()
-    other = open_bus(interface="virtual", channel=request.node.name)
-    kernel = solve(make_stack(settings), "layered")
-    hand = player(make_array(settings), kernel, make_codec(settings), Calibration(0.5), "sphere", 0.0)
-    stop, answered = Event(), []
-    thread = Thread(target=lambda: answered.append(answer(hand, other.receive, other.send, stop)))
-    thread.start()
-    service = Service(config)
-    sensor = service.sensor("hand")
-    service.start()
-    try:
-        until(lambda: (i := sensor.hub.latest()) and i.sequence >= 5 and not i.flags.any())
-        image = sensor.hub.latest()
-    finally:
-        service.stop()
-        stop.set()
-        thread.join()
-    assert image.raw.shape == (24, 6)
-    assert np.nanmax(image.raw) > 1
-    assert (image.loss.malformed, image.loss.unsent) == (0, 0)
-    assert answered[0] >= 10  # two fingers, five frames
-    while other.receive(0.0) is not None:
-        pass
-    assert other.receive(0.2) is None  # after the service has ended nothing is asked
-    other.close()
