@@ -7,27 +7,32 @@ from contextlib import contextmanager
 import pytest
 
 from tactiled.cli.app import handled
-from tests.cli.commands import TACTILED, run
+from tests.cli.commands import TACTILED, refusal, run
 from tests.conftest import BUSY_S, CONFIG, ask
 from tests.systemd import Manager
 
 
+def configured(folder, port, interface="virtual"):
+    text = CONFIG.format(channel="none").replace('"virtual"', f'"{interface}"\nfd = true')
+    path = folder / "palm.toml"
+    path.write_text(f'[server]\nstate = "{folder}/state.json"\nport = {port}\n{text}')
+    return path
+
+
 @contextmanager
-def unit(folder, interface="virtual", port=None, sockets=1):
+def unit(folder):
     """`tactiled run` as the unit and its socket run it, and where the socket listens."""
     with socket.create_server(("127.0.0.1", 0)) as listener:
-        (host, own), number = listener.getsockname(), listener.fileno()
-        text = CONFIG.format(channel="none").replace('"virtual"', f'"{interface}"\nfd = true')
-        (folder / "palm.toml").write_text(f'[server]\nstate = "{folder}/state.json"\nport = {port or own}\n{text}')
+        (host, port), number = listener.getsockname(), listener.fileno()
         shell = ["bash", "-c", f'LISTEN_PID=$$ exec "$@" 3<&{number}', "-"]
-        environment = os.environ | {"NOTIFY_SOCKET": f"{folder}/notify", "LISTEN_FDS": f"{sockets}"}
-        streams = {"pass_fds": [number], "stderr": subprocess.PIPE, "text": True}
-        process = subprocess.Popen([*shell, *TACTILED, "run", folder / "palm.toml"], env=environment, **streams)
+        environment = os.environ | {"NOTIFY_SOCKET": f"{folder}/notify", "LISTEN_FDS": "1"}
+        command = [*shell, *TACTILED, "run", configured(folder, port)]
+        process = subprocess.Popen(command, env=environment, pass_fds=[number])
     try:
-        yield process, f"http://{host}:{own}"
+        yield process, f"http://{host}:{port}"
     finally:
         process.kill()
-        process.communicate()
+        process.wait()
 
 
 def test_a_unit_is_ready_with_its_bus_and_port_and_notifies_reload_and_stop(tmp_path):
@@ -42,21 +47,24 @@ def test_a_unit_is_ready_with_its_bus_and_port_and_notifies_reload_and_stop(tmp_
         assert process.wait(BUSY_S) == 0
 
 
-FAULTS = {
-    "bus socketcan none": {"interface": "socketcan"},
-    "tactiled.socket: listens at ('127.0.0.1', ": {"port": 1},
-    "LISTEN_FDS = '2': tactiled.socket must hold one socket": {"sockets": 2},
-}
-
-
-@pytest.mark.parametrize("line", FAULTS)
-def test_without_its_bus_or_its_own_socket_a_unit_is_never_ready(tmp_path, line):
-    with Manager(f"{tmp_path}/notify") as manager, unit(tmp_path, **FAULTS[line]) as (process, _):
-        assert line in process.communicate(timeout=BUSY_S)[1]
+@pytest.mark.parametrize(
+    ("interface", "sockets", "line"),
+    [
+        ("socketcan", 1, "bus socketcan none"),
+        ("virtual", 1, "tactiled.socket: listens at ('127.0.0.1', "),
+        ("virtual", 2, "LISTEN_FDS = '2': tactiled.socket must hold one socket"),
+    ],
+)
+def test_without_its_bus_or_its_own_socket_a_unit_is_never_ready(tmp_path, monkeypatch, interface, sockets, line):
+    ours = {"NOTIFY_SOCKET": f"{tmp_path}/notify", "LISTEN_FDS": f"{sockets}", "LISTEN_PID": f"{os.getpid()}"}
+    for name, value in ours.items():
+        monkeypatch.setenv(name, value)
+    with Manager(ours["NOTIFY_SOCKET"]) as manager, socket.create_server(("127.0.0.1", 0)) as listener:
+        monkeypatch.setattr("tactiled.systemd.FIRST_LISTEN_FD", os.dup(listener.fileno()))
+        assert line in refusal("run", configured(tmp_path, 1, interface))
         manager.setblocking(False)
         with pytest.raises(BlockingIOError):
             manager.receive()
-        assert process.returncode == 2
 
 
 def test_a_start_that_is_stopped_while_a_cover_is_solved_is_no_failure(tmp_path, monkeypatch):

@@ -1,6 +1,7 @@
 import importlib
 import inspect
 import os
+import signal
 import subprocess
 import sys
 from importlib.metadata import version
@@ -9,12 +10,25 @@ from pkgutil import iter_modules
 import pytest
 
 import tactiled.cli
-from tactiled.cli.app import SERVICES
+from tactiled.build import sensor_plans
+from tactiled.cli.app import SERVICES, STOP_SIGNALS, handled, main
 from tactiled.cli.verbs import BenchVerbs, CalibrateVerbs, Verbs
+from tactiled.config import load
 from tactiled.config.example import EXAMPLE
 from tests.cli.commands import succeed
 
 HEAVY = ("fastapi", "starlette", "uvicorn", "tactiled.web", "matplotlib", "skimage", "tactiled.bench")
+EACH_IN_TURN = """
+import sys
+from tactiled.cli import main
+for line in sys.argv[1:]:
+    sys.argv = ["tactiled", *line.split()]
+    try:
+        main()
+    except SystemExit as end:
+        assert not end.code, line
+print(*sys.modules)
+"""
 SILENT_BUS = "--interface virtual --channel nobody --seconds 0.05"
 TABLES = [
     [
@@ -53,19 +67,17 @@ def test_the_version_is_printed():
     assert succeed("--version") == f"tactiled {version('tactiled')}\n"
 
 
-@pytest.mark.parametrize(
-    "arguments", ["init new.toml", "check palm.toml", f"sniff {SILENT_BUS}", f"record out.log {SILENT_BUS}"]
-)
-def test_verbs_without_a_server_import_none(arguments, tmp_path, monkeypatch):
+def test_verbs_without_a_server_import_none(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "palm.toml").write_text(EXAMPLE)
-    verb, *_ = words = arguments.split()
-    names = imported(*words)
-    assert f"tactiled.cli.{verb}" in names
+    lines = "init new.toml", "check palm.toml", f"sniff {SILENT_BUS}", f"record out.log {SILENT_BUS}"
+    names = python(EACH_IN_TURN, *lines).splitlines()[-1].split()
+    assert {f"tactiled.cli.{line.split()[0]}" for line in lines} <= {*names}
     assert not of(names, *HEAVY)
 
 
-def test_a_service_with_a_cached_kernel_imports_no_solver_and_nothing_that_only_draws(tmp_path):
+def test_a_service_with_a_cached_kernel_imports_no_solver_and_nothing_that_only_draws(tmp_path, monkeypatch):
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     config = tmp_path / "palm.toml"
     config.write_text(EXAMPLE.replace('"socketcan"', '"virtual"'))
     program = (
@@ -73,23 +85,23 @@ def test_a_service_with_a_cached_kernel_imports_no_solver_and_nothing_that_only_
         "run.serve = lambda app, at: fit() and print(gc.isenabled(), *sys.modules);"
         "fit = lambda: __import__('tactiled.calibrate.counts.force_gain'); main()"
     )
-    for _ in range(2):  # the first solves the cover
-        output = python(program, "run", str(config), XDG_CACHE_HOME=str(tmp_path), XDG_STATE_HOME=str(tmp_path))
-    collects, *names = output.split()
+    sensor_plans(load(config))  # solves the cover
+    collects, *names = python(program, "run", str(config), XDG_STATE_HOME=str(tmp_path)).split()
     assert collects == "True"
     assert "tactiled.calibrate.counts.force_gain" in names  # which the process of a fit imports
     unused = "skfem", "skimage", "matplotlib", "scipy.ndimage", "scipy.stats", "tactiled.bench", "rerun", "rosbags"
     assert not of(names, *unused)
 
 
-@pytest.mark.parametrize("kind", ["SIGINT", "SIGTERM"])
+@pytest.mark.parametrize("kind", STOP_SIGNALS)
 @pytest.mark.parametrize("verb", sorted(SERVICES))
-def test_a_service_that_is_stopped_while_it_is_imported_ends_well(verb, kind):
-    program = (
-        "import os, signal; from tactiled.cli import main, verbs;"
-        f"verbs.import_module = lambda _: os.kill(os.getpid(), signal.{kind}); main()"
-    )
-    assert not python(program, verb)
+def test_a_service_that_is_stopped_while_it_is_imported_ends_well(verb, kind, monkeypatch):
+    monkeypatch.setattr(sys, "argv", ["tactiled", verb])
+    monkeypatch.setattr("tactiled.cli.verbs.import_module", lambda _: signal.raise_signal(kind))
+    monkeypatch.setattr("gc.disable", lambda: None)
+    with handled(signal.default_int_handler, *STOP_SIGNALS), pytest.raises(SystemExit) as end:
+        main()
+    assert not end.value.code
 
 
 @pytest.mark.parametrize(("table", "group"), [(0, []), (1, ["bench"]), (2, ["calibrate"])])
