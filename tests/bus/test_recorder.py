@@ -195,8 +195,10 @@ CHANGES = {
 
 
 @pytest.mark.filterwarnings("ignore::ResourceWarning")
-@pytest.mark.parametrize("ending", [".log", ".blf", ".log.gz"])
-@pytest.mark.parametrize("change", CHANGES)
+@pytest.mark.parametrize(
+    ("change", "ending"),
+    [*((change, ".log") for change in CHANGES), ("truncated", ".blf"), ("removed", ".log.gz")],
+)
 def test_a_file_that_another_program_changes_ends_the_recording_with_an_error(tmp_path, ending, change):
     path, (act, reason) = tmp_path / f"a{ending}", CHANGES[change]
     recorder = Recorder(path)

@@ -206,10 +206,11 @@ def test_a_name_may_have_dots(tmp_path, name):
 def test_channels_are_those_of_the_file(tmp_path):
     rows = "".join(f" {n}) {n}.0 {n} Rx 0500 - 1 0{n}\n" for n in (1, 2))
     (tmp_path / "a.trc").write_text(";$FILEVERSION=1.3\n" + rows)
-    with can.Logger(tmp_path / "a.blf") as writer:
-        for channel in (0, 1):
-            writer(can.Message(1.6e9 + channel, 0x500, is_extended_id=False, data=b"1", channel=channel))
-    for name in ("a.trc", "a.blf"):
+    for name in ("a.blf", "a.asc"):
+        with can.Logger(tmp_path / name) as writer:
+            for channel in (0, 1):
+                writer(can.Message(1.6e9 + channel, 0x500, is_extended_id=False, data=b"1", channel=channel))
+    for name in ("a.trc", "a.blf", "a.asc"):
         with pytest.raises(ConfigError, match="comes from channel 1 and from channel 2, and their"):
             list(Recording(tmp_path / name, frozenset({(0x500, False)})))
 
@@ -288,6 +289,9 @@ EXTRA = {
     "old.trc": ";##\n 1) 17535 00000100 8 00 01 02 03 04 05 06 07\n 2) 17540 FFFFFFFF 4 00 00 00 08 BUSHEAVY\n"
     " 3) 19295 0000 0\n 4) 48937 0704 1 RTR\n",
     "crlf.log": TWO.replace("\n", "\r\n") + "(1.1) can0 7DF##3ab00 T\r\n(1.1) can0 20000088#0000\r\n",
+    "vcan.log": "(1609779922.655421) vcan1 001#\n(1609779922.7) 7 18FF00AB#0102 R\n(1609779922.8) can0 FFF##1"
+    + 64 * "5A" + " T\n(1609779922.8) can0 00000123##0aB\n (1609779922.9)  can0   123#1122\n\n"
+    "(1609779923.0) can0 123#R8 T\n(1609779923) can0 12345#11 r\n(1609779923.5) can0 1#1213\n",
 }  # fmt: skip
 
 
@@ -315,5 +319,5 @@ def test_a_file_that_python_can_reads_right_is_read_alike(tmp_path, name):
         ]  # fmt: skip
     recording = Recording(path)
     assert list(recording) == expected
-    assert len(expected) == {"us": 3, "old": 2, "crlf": 3}.get(name.split(".")[0], len(expected)) > 1
+    assert len(expected) == {"us": 3, "old": 2, "crlf": 3, "vcan": 7}.get(name.split(".")[0], len(expected)) > 1
     assert UNZONED not in recording.summary()

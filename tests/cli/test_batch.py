@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from distributed import LocalCluster
 
 from tactiled.archive import batch
 from tactiled.archive.jobs import RestoreJob
@@ -133,6 +132,8 @@ def test_from_memory_to_memory(recordings, config, memory):  # noqa: F811
 
 
 def test_frames_of_several_files_are_restored_by_a_scheduler_that_is_there(tmp_path, config):
+    from distributed import LocalCluster  # 1 s, of the process alone that runs this test
+
     (tmp_path / "in").mkdir()
     for number in range(3):
         frames = np.random.default_rng(number).normal(0, 0.5, (40, 8, 8)) + 60 * (np.arange(64) == 27).reshape(

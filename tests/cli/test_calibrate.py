@@ -1,5 +1,7 @@
 import json
 import re
+import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -42,18 +44,24 @@ def bag(tmp_path_factory):
     return folder
 
 
+@pytest.fixture(scope="module")
+def calibrated(bag):
+    """What the steps print with their chart, and the file that they make."""
+    out = bag / "palm.json"
+    return succeed(*gain(bag, "--steps-kpa", LISTED, "--out", out, "--plot", bag / "gain.png")), out
+
+
 def gain(folder, *arguments):
     return "calibrate", "gain", folder / "bag.log", "--config", folder / "palm.toml", *arguments
 
 
-def test_steps_are_written_into_the_file_and_printed(bag, tmp_path):
-    out, chart = tmp_path / "palm.json", tmp_path / "gain.png"
-    output = succeed(*gain(bag, "--steps-kpa", LISTED, "--out", out, "--plot", chart))
+def test_steps_are_written_into_the_file_and_printed(bag, calibrated):
+    output, out = calibrated
     file = calibration_file.load(out)
     assert (file.sensor, file.taxels, file.health.dead) == ("palm", 64, (9, 63))
     assert file.gain.origin.recording == "bag.log"
     assert file.gain.origin.method == f"gain: steps kpa {LISTED}"
-    assert chart.read_bytes()[:4] == b"\x89PNG"
+    assert (bag / "gain.png").read_bytes()[:4] == b"\x89PNG"
     assert f"curve           {file.gain.form}" in output
     assert "dead            2 (9, 63)" in output
     series = read_frame_series(bag / "bag.log", "palm", load(bag / "palm.toml"))
@@ -67,9 +75,8 @@ def test_steps_are_written_into_the_file_and_printed(bag, tmp_path):
         assert re.search(r"error elsewhere \d\S* kPa rms \(median\)", each)
 
 
-def test_a_log_updates_the_file_and_keeps_its_other_sections(bag, tmp_path):
-    out = tmp_path / "palm.json"
-    succeed(*gain(bag, "--steps-kpa", LISTED, "--out", out))
+def test_a_log_updates_the_file_and_keeps_its_other_sections(bag, calibrated, tmp_path):
+    out = Path(shutil.copy(calibrated[1], tmp_path))
     first = calibration_file.load(out)
     output = succeed(*gain(bag, "--reference", bag / "bag.csv", "--out", out))
     second = calibration_file.load(out)
@@ -101,9 +108,8 @@ def test_a_weight_is_printed_with_the_pressure_at_the_counts_that_it_reached(bag
     )
 
 
-def test_bad_input_is_one_line_and_changes_nothing(bag, tmp_path):
-    out = tmp_path / "palm.json"
-    succeed(*gain(bag, "--steps-kpa", LISTED, "--out", out))
+def test_bad_input_is_one_line_and_changes_nothing(bag, calibrated, tmp_path):
+    out = Path(shutil.copy(calibrated[1], tmp_path))
     before = out.read_bytes()
     wrong = tmp_path / "wrong.csv"
     wrong.write_text("time_s,force_kg\n0,1\n")

@@ -1,3 +1,4 @@
+from functools import cache
 from threading import Event
 
 import numpy as np
@@ -28,10 +29,12 @@ def payloads(codec, messages):
     return [read_one(codec, each).payload for each in messages]
 
 
+@cache
 def packed(scene):
     return player(grid(8, 8, 1.0), KERNEL, Packed(64), Calibration(0.05, 80), scene, 0.0)
 
 
+@cache
 def skinned(scene):
     return player(grid(8, 8, 1.0), KERNEL, XELA, Calibration(0.02, 36_000), scene, 0.0)
 
