@@ -1,12 +1,10 @@
 """Readers and routers in processes of their own, killed, cut off and doubled."""
 
 import signal
-import socket
 import subprocess
 import sys
 import threading
 import time
-from contextlib import suppress
 
 import pytest
 
@@ -18,11 +16,13 @@ from tests.process import free_port
 
 ROUTER = """
 import sys, time, zenoh
-config = zenoh.Config.from_json5('{mode: "router", listen: {endpoints: ["%s"]}, scouting: {multicast: {enabled: false}}}' % sys.argv[1])
+config = zenoh.Config.from_json5('{mode: "router", scouting: {multicast: {enabled: false}}}')
+for key, endpoint in zip(("listen", "connect"), sys.argv[1:]):
+    config.insert_json5(key + "/endpoints", '["' + endpoint + '"]')
 session = zenoh.open(config)
 print("open", flush=True)
 time.sleep(1e6)
-"""  # noqa: E501
+"""
 
 
 @pytest.fixture
@@ -42,10 +42,10 @@ def process():
 
 @pytest.fixture
 def router(process):
-    """Starts a router at an endpoint."""
+    """Starts a router at an endpoint, connected to that of another or to none."""
 
-    def start(endpoint):
-        made = process("-c", ROUTER, endpoint, stdout=subprocess.PIPE)
+    def start(*endpoints):
+        made = process("-c", ROUTER, *endpoints, stdout=subprocess.PIPE)
         assert made.stdout.readline() == "open\n"
         return made
 
@@ -137,77 +137,31 @@ def test_a_server_that_only_listens_tells_how_its_last_reader_ended(reader):
     with fleet_at(endpoint, mode="peer", connect=[], listen=[endpoint]) as fleet:
         with pytest.raises(UnknownSensorError, match="there are none"):
             fleet.sensor(NAME)
-        for end, why in ((signal.SIGKILL, "died"), (signal.SIGTERM, "stopped")):
-            one = reader(endpoint, "r1")
-            until(lambda: state(fleet) == "live")
-            one.send_signal(end)
-            until(lambda: state(fleet) == "down" and not connected(fleet._questions.session))
-            fleet._look_at, turns = 0.0, fleet._turns
-            until(lambda turns=turns: fleet._turns > turns + 1)
-            assert why in detail(fleet)
-
-
-class Cable:
-    """A TCP proxy; while it is cut, bytes and connections wait, and nobody is told."""
-
-    def __init__(self, port):
-        self._to, self._passes, self._ends = port, threading.Event(), []
-        self._passes.set()
-        self._listener = socket.create_server(("127.0.0.1", 0))
-        self.endpoint = f"tcp/127.0.0.1:{self._listener.getsockname()[1]}"
-        self._accepting = threading.Thread(target=self._accept, daemon=True)
-        self._accepting.start()
-
-    def _accept(self):
-        with suppress(OSError):
-            while True:
-                one, _ = self._listener.accept()
-                self._ends.append(one)
-                self._passes.wait()
-                other = socket.create_connection(("127.0.0.1", self._to))
-                self._ends.append(other)
-                for ends in ((one, other), (other, one)):
-                    threading.Thread(target=self._pass, args=ends, daemon=True).start()
-
-    def _pass(self, source, target):
-        with suppress(OSError):
-            while data := source.recv(65536):
-                self._passes.wait()
-                target.sendall(data)
-        self._end(source, target)
-
-    @staticmethod
-    def _end(*ends):
-        for each in ends:
-            with suppress(OSError):
-                each.shutdown(socket.SHUT_RDWR)
-
-    def close(self):
-        self._passes.set()
-        self._end(self._listener)
-        self._accepting.join()
-        self._end(*self._ends)
-        for each in (self._listener, *self._ends):
-            each.close()
+        one = reader(endpoint, "r1")
+        until(lambda: state(fleet) == "live")
+        one.kill()
+        until(lambda: state(fleet) == "down" and not connected(fleet._questions.session))
+        fleet._look_at, turns = 0.0, fleet._turns
+        until(lambda: fleet._turns > turns + 1)
+        assert "died" in detail(fleet)
 
 
 def test_a_partition_is_told_from_a_dead_reader_and_what_waited_in_it_is_not_shown_as_new(reader, router):
-    port = free_port()
-    router(f"tcp/127.0.0.1:{port}")
-    cable = Cable(port)
-    reader(cable.endpoint, "r1")
-    with fleet_at(f"tcp/127.0.0.1:{port}") as fleet:
+    endpoint, far = (f"tcp/127.0.0.1:{free_port()}" for _ in range(2))
+    router(endpoint)
+    between = router(far, endpoint)
+    reader(far, "r1")
+    with fleet_at(endpoint) as fleet:
         until(lambda: state(fleet) == "live")
         images = follow(fleet)
-        cable._passes.clear()
+        between.send_signal(signal.SIGSTOP)  # bytes and connections wait, and nobody is told
         until(lambda: state(fleet) == "stale")
         assert fleet.sensors[NAME].line.down is None  # its token is there until the lease ends
         until(lambda: state(fleet) == "down")
         assert "connection to its reader lost" in detail(fleet)
-        cable._passes.set()
+        between.send_signal(signal.SIGCONT)
         until(lambda: state(fleet) == "live")
         nothing_doubled(images)
-        cable.close()
 
 
 def test_a_second_publisher_of_a_name_waits_says_so_and_follows_the_first(reader, router):

@@ -81,10 +81,16 @@ def test_the_token_dialog_keeps_the_focus_and_is_accessible_as_are_recordings(ri
         assert page.evaluate(FOCUSED) == "tare"
         page.press("r")
         page.wait(TOKEN_OPEN)
+        assert "control token" in page.locator("#token-why").inner_text()
         page.inspect()
-        page.keyboard.type(CONTROL)
+        page.keyboard.type("x" * 16)
+        page.press("Enter")
+        page.locator("#token-why", has_text="does not know").wait_for()
+        assert not list(tmp_path.iterdir())
+        page.get_by_label("Token", exact=True).fill(CONTROL)
         page.press("Enter")
         page.locator("#recordings li").wait_for()
+        assert not page.get_by_role("dialog").is_visible()
         page.press("p")
         page.inspect()
         page.press("r")
@@ -92,7 +98,7 @@ def test_the_token_dialog_keeps_the_focus_and_is_accessible_as_are_recordings(ri
         page.press("ArrowLeft")
         page.wait(PAUSED)
         page.inspect()
-        page.finish("403")
+        page.finish("401", "403")
 
 
 @pytest.mark.parametrize(("place", "controls"), [("palm", 15), ("/wall", 7)])

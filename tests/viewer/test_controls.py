@@ -2,8 +2,6 @@
 
 import re
 
-import pytest
-
 from tests.conftest import pressed
 from tests.viewer.conftest import FITS, PAUSED, SCROLL_WIDTH, TOUCH
 
@@ -59,7 +57,7 @@ def test_keys_act_but_not_in_fields_lists_and_dialogs_and_can_be_switched_off(ri
     page.wait(f"{THEME} === 'dark'")
 
 
-def test_the_probe_is_announced_when_it_is_pinned_or_moved_by_keys_but_not_when_pointed(page):
+def test_the_probe_is_announced_by_keys_alone_and_a_typed_range_is_taken_or_refused_with_the_reason(rig, page):
     frame = page.box("#raw-frame")
     page.mouse.move(frame["x"] + frame["width"] / 2, frame["y"] + frame["height"] / 2)
     page.locator("#probe", has_text="taxel r4 c4").wait_for()
@@ -79,8 +77,6 @@ def test_the_probe_is_announced_when_it_is_pinned_or_moved_by_keys_but_not_when_
         page.press(key)
         page.wait(f"{ANNOUNCED} === '{words}'")
 
-
-def test_a_typed_range_is_taken_when_it_is_whole_or_refused_with_the_reason(rig, page):
     def enter(name, number, last="Enter"):
         field = page.get_by_label(name, exact=True)
         field.fill("")
@@ -116,12 +112,6 @@ def test_a_typed_range_is_taken_when_it_is_whole_or_refused_with_the_reason(rig,
         assert page.locator("#range-high").input_value() == number
         assert page.locator("#range-high").evaluate(FITS)
         assert page.evaluate(SCROLL_WIDTH) <= width
-
-
-@pytest.mark.parametrize("address", ["#%zz", "#nobody"])
-def test_whatever_the_address_names_a_sensor_is_shown(rig, url, open_page, address):
-    rig.show(pressed())
-    assert open_page(f"{url}/{address}").url == f"{url}/#palm"
 
 
 KEY_COLORS = """[...document.querySelectorAll(".chart:first-child .key span")].map(each => {
@@ -199,7 +189,8 @@ def test_a_tare_asks_where_the_array_is_loaded(rig, page):
 
 def test_on_a_phone_a_tap_reads_a_map_a_swipe_scrolls_and_the_help_begins_at_its_top(rig, url, open_page):
     rig.show(pressed())
-    page = open_page(url, **TOUCH)
+    page = open_page(f"{url}/#nobody", **TOUCH)
+    assert page.url == f"{url}/#palm"  # whatever the address names
     page.locator("#restored-caption", has_text="peak").wait_for()
     (hint,) = page.text("probe")
     frame = page.box("#raw")

@@ -63,23 +63,7 @@ def test_on_arrays_of_every_shape_all_texts_have_room_on_the_maps_and_in_the_pic
             assert apart, (one, other)
 
 
-def test_a_layout_that_is_no_grid_is_drawn_true_to_scale(pair, open_page):
-    rig, url = pair
-    ink = open_page(f"{url}/#thumb").pixels("raw")[..., 3] > 128
-    cells = rig.service.sensor("thumb").cells
-    (rows, columns), (left, top) = cells.shape, cells.corner - cells.side / 2
-    zoom = ink.shape[1] / (columns * cells.side)
-    assert zoom == pytest.approx(ink.shape[0] / (rows * cells.side), rel=0.01)
-    y, x = np.indices(ink.shape) / zoom
-    y, x = y + top, x + left
-    distance = np.min(
-        [np.hypot(x - at_x, y - at_y) for at_x, at_y in ((0, 0), (3, 0), (1.5, 2), (4.5, 2.5))], axis=0
-    )
-    assert ink[distance < 0.7].all()
-    assert not ink[distance > 0.8].any()
-
-
-def test_nothing_is_cut_off_or_covered_at_any_size(pair, open_page):
+def test_nothing_is_cut_off_or_covered_at_any_size_and_a_layout_that_is_no_grid_is_true_to_scale(pair, open_page):
     rig, url = pair
     page = open_page(url, **DESK)
     square = page.box("#raw-frame")
@@ -97,6 +81,16 @@ def test_nothing_is_cut_off_or_covered_at_any_size(pair, open_page):
     assert frame["height"] < square["height"] - 20
     assert under["y"] - frame["y"] - frame["height"] < 20 + 30  # its axis and a gap
     assert side["y"] - playback["y"] - playback["height"] == pytest.approx(12, abs=2)
+    ink, cells = page.pixels("raw")[..., 3] > 128, rig.service.sensor("thumb").cells
+    (rows, columns), corner = cells.shape, cells.corner - cells.side / 2
+    zoom = ink.shape[1] / (columns * cells.side)
+    assert zoom == pytest.approx(ink.shape[0] / (rows * cells.side), rel=0.01)
+    places = np.moveaxis(np.indices(ink.shape)[::-1], 0, -1) / zoom + corner
+    distance = np.min(
+        [np.linalg.norm(places - at, axis=-1) for at in ((0, 0), (3, 0), (1.5, 2), (4.5, 2.5))], axis=0
+    )
+    assert ink[distance < 0.7].all()
+    assert not ink[distance > 0.8].any()
     choose(page, 1)
     page.wait(f"document.getElementById('raw-frame').clientHeight === {square['height']}")
     assert page.box("#raw-frame") == square

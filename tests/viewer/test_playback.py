@@ -157,7 +157,9 @@ def test_details_that_come_late_or_again_and_another_recording_begins_with_the_m
     page.finish("ERR_FAILED")
 
 
-def test_the_chart_reaches_the_recordings_end_once_the_file_is_read(recorded, open_page):
+def test_the_chart_reaches_the_recordings_end_a_loop_begins_again_and_a_link_keeps_the_position(
+    recorded, open_page
+):
     url, _ = recorded
     page = open_page(url)
     looks, opening = [], []
@@ -181,12 +183,6 @@ def test_the_chart_reaches_the_recordings_end_once_the_file_is_read(recorded, op
     page.wait(f"window.drawn.some(({{ text }}, i, all) => text === 'position, s' && {last})")
     assert opening == [["reading …"], False, False, [True] * 4]
     assert page.get_by_role("button", name="Film").is_enabled()
-
-
-def test_a_link_keeps_recording_and_position_and_a_loop_begins_again(recorded, open_page):
-    url, _ = recorded
-    page = open_page(f"{url}/#palm?recording=grasp.log&at=0.5", ready=PLAYS)
-    page.wait(f"{FRAME} === '25'")
     page.get_by_label("Loop").check()
     page.locator("#speed").select_option("10")
     page.locator("#pause").click()
@@ -194,7 +190,7 @@ def test_a_link_keeps_recording_and_position_and_a_loop_begins_again(recorded, o
     page.wait(f"window.seen.push(Number({FRAME})), window.seen.some((each, i) => each < window.seen[i - 1])")
     page.locator("#pause").click()
     page.press("Home", *["ArrowRight"] * 5)
-    page.wait(f"{FRAME} === '5' && location.hash.includes('at=0.1')")
+    page.wait(f"{FRAME} === '5' && location.hash.includes('recording=grasp.log&at=0.1')")
     other = open_page(page.url, ready=PLAYS)
     other.wait(f"{FRAME} === '5'")
 

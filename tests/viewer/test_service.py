@@ -2,7 +2,7 @@
 
 from tactiled.config import Server
 from tactiled.web.server import running
-from tests.conftest import CONFIG, CONTROL, READ, ask, meanwhile, pressed, until
+from tests.conftest import CONFIG, CONTROL, ask, meanwhile, pressed
 from tests.viewer.conftest import LEVELS, PAINTINGS, THUMB, Pair
 
 # Whether anything is drawn on a canvas.
@@ -70,25 +70,6 @@ def test_a_page_follows_sensors_that_a_reload_adds_restarts_and_removes(serve, o
     reload(tip)
     page.wait(f"{TABS} === 'tip'")
     page.finish("404", "503")  # of the sensor that is gone, and of one without a frame
-
-
-def test_an_action_beyond_the_read_token_asks_for_the_control_token(rig, guarded, open_page):
-    page = open_page(f"{guarded}/?token={READ}", ready="!!document.querySelector('#method option')")
-    page.get_by_label("Method").select_option("raw")
-    page.get_by_role("dialog").wait_for()
-    assert "control token" in page.locator("#token-why").inner_text()
-    for token, done in (
-        ("x" * 16, page.locator("#token-why", has_text="does not know").wait_for),
-        (CONTROL, None),
-    ):
-        assert rig.sensor.method == "wiener"
-        page.get_by_label("Token", exact=True).fill(token)
-        page.press("Enter")
-        if done:
-            done()
-    until(lambda: rig.sensor.method == "raw")
-    assert not page.get_by_role("dialog").is_visible()
-    page.finish("401", "403")
 
 
 def test_the_page_of_the_api_shows_every_route_and_its_requests_carry_the_cookie(guarded, open_page):

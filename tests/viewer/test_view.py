@@ -16,7 +16,9 @@ def colors_of(url, name):
     return np.array(ask("GET", f"{url}/api/v1/colormap?name={name}").json()["colors"])
 
 
-def test_the_difference_has_its_own_two_sided_scale_and_an_address_keeps_the_view(rig, url, open_page):
+def test_an_address_keeps_a_view_of_the_difference_and_on_the_slider_raw_ends_where_restored_begins(
+    rig, url, open_page
+):
     rig.show(pressed())
     page = open_page(f"{url}/#palm?view=difference&colors=viridis&range=0:5")
     image = page.show(rig, pressed(5))
@@ -58,11 +60,7 @@ def test_the_difference_has_its_own_two_sided_scale_and_an_address_keeps_the_vie
     for one in (image, other):
         row, column = np.unravel_index(one.restored.argmax(), one.restored.shape)
         assert colors[row, column].sum() > 300
-
-
-def test_on_the_slider_raw_ends_where_restored_begins(rig, url, open_page):
-    rig.show(pressed())
-    page = open_page(f"{url}/#palm?view=slider", **DESK)
+    page.get_by_label("View").select_option("slider")
     for size in (DESK, PHONE):
         page.resize(**size)
         raw, restored = page.box("#raw-frame"), page.box("#restored-frame")

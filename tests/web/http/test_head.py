@@ -5,7 +5,7 @@ import pytest
 
 from tactiled.config import Server
 from tactiled.web.server import running
-from tests.conftest import CONTROL, HTTP, ask, pressed, until
+from tests.conftest import HTTP, pressed, until
 
 VARIABLE = ("date", "x-tactiled-age", "content-length")  # at another time; of a text with an age in it
 
@@ -49,12 +49,3 @@ def test_head_of_a_file_reads_none_of_it(client, tmp_path):
         head = client.head("/api/v1/recordings/a.log", headers=part)
         assert (head.status_code, head.headers["content-length"]) == (200, str(1 << 40))
         until(lambda: tmp_path / "a.log" not in [each.resolve() for each in Path("/proc/self/fd").iterdir()])
-
-
-def test_head_changes_nothing_and_needs_the_same_token(rig):
-    with running(rig.service, Server(port=0, control_token=CONTROL)) as url:
-        assert ask("HEAD", url + "/api/v1/health").status_code == 401
-        bearer = {"Authorization": f"Bearer {CONTROL}"}
-        assert ask("HEAD", url + "/api/v1/health", headers=bearer).status_code == 200
-        assert ask("HEAD", url + "/api/v1/sensors/palm/tare", headers=bearer).status_code == 405
-    assert rig.sensor.pipeline.tares.done == 0

@@ -6,13 +6,13 @@ from unittest.mock import Mock
 import pytest
 
 from tactiled.calibrate.calibration_file import load
-from tactiled.config import Server, parse
+from tactiled.config import parse
 from tactiled.errors import ConfigError
 from tactiled.live.service import Service
 from tactiled.web.rest import calibration_file as calibration_file_over_rest
 from tactiled.web.server import running
 from tests.calibrate.files import CREATED, calibration_file
-from tests.conftest import CONFIG, READ, TOKENS, ask, pressed, problem
+from tests.conftest import CONFIG, ask, pressed, problem
 
 SCALARS = "kpa_per_count = 0.5, no_load = 100, "
 ORIGIN = {"recording": "steps.log", "sha256": "5" * 64, "method": "steps", "created": CREATED}
@@ -112,18 +112,6 @@ def test_what_cannot_be_applied_is_refused_in_a_line_without_a_path(palm, tmp_pa
     assert "nothing was written" in refused
     assert str(tmp_path) not in refused
     assert ask("GET", palm).json()["id"] == "configured"
-
-
-def test_a_client_that_only_reads_may_download_and_not_change(tmp_path):
-    text = CONFIG.format(channel="none").replace(SCALARS, 'file = "palm.json", ')
-    server = Server(port=0, **TOKENS)
-    with running(Service(parse(text, folder=tmp_path)), server) as url:
-        path, reader = url + "/api/v1/sensors/palm", {"Authorization": f"Bearer {READ}"}
-        content = calibration_file().text
-        problem(ask("PUT", path + "/calibration/file", content=content, headers=reader), 403)
-        problem(ask("POST", path + "/calibration/history/1", headers=reader), 403)
-        problem(ask("DELETE", path + "/tare", headers=reader), 403)
-        assert ask("GET", path + "/calibration/history", headers=reader).json() == {"files": []}
 
 
 def test_a_tare_is_undone(rig, client):

@@ -1,5 +1,6 @@
-"""Frames of recordings: any of them at once, as a replay restores them."""
+"""Frames of recordings: any of them at once, as a replay restores them; and their series."""
 
+import csv
 import gzip
 import os
 from contextlib import suppress
@@ -11,10 +12,13 @@ import httpx
 import numpy as np
 import pytest
 
+from tactiled.archive.export import ExportJob
 from tactiled.cli.replay import replaying
 from tactiled.config import Server, parse
+from tactiled.contacts.regions import Region
 from tactiled.frames import BAD
 from tactiled.live.service import Service
+from tactiled.recorded import series as recorded_series
 from tactiled.recorded.frames import RecordedFrames
 from tactiled.web.rest import playback
 from tactiled.web.server import running
@@ -24,11 +28,18 @@ from tests.web.ws.clients import unpack_all
 
 ROOT = "/api/v1/recordings"
 PALM = {"sensor": "palm"}
+REGIONS = {
+    "heel": Region(shape="rectangle", points_mm=((1.5, -1), (5.5, 3.5))),
+    "toe": Region(shape="ellipse", points_mm=((3, 3), (8, 8))),
+}
 
 
 @pytest.fixture(scope="module")
 def service():
-    return Service(parse(CONFIG))
+    service = Service(parse(CONFIG))
+    for name, region in REGIONS.items():
+        service.sensor("palm").regions.put(name, region)
+    return service
 
 
 @pytest.fixture(scope="module")
@@ -101,9 +112,8 @@ def test_frames_that_nobody_asks_for_leave_the_disk(monkeypatch, tmp_path):
         assert len(timers) == 2
 
 
-@pytest.mark.parametrize("name", ["a.log", "a.asc.gz"])
-def test_frames_in_any_order_are_those_of_a_replay(client, folder, name):
-    path = folder / name
+def test_frames_in_any_order_are_those_of_a_replay(client, folder):
+    path = folder / "a.asc.gz"
     expected = replayed(path)
     state = opened(client, path.name)
     assert [state[key] for key in ("frames", "error", "tared_at")] == [FRAMES, None, None]
@@ -256,3 +266,71 @@ def test_a_file_that_was_written_anew_is_read_anew_and_leaves_nothing_beside_it(
     assert opened(client, "b.log")["frames"] == FRAMES // 2
     path.unlink()
     assert {each.name for each in folder.iterdir()} == {"a.log", "a.asc.gz", "bad.log", "other.log"}
+
+
+def measured(client, **query):
+    """The series of the recording, once every frame is measured."""
+    get = lambda: client.get("/a.log/series", params=PALM | query)  # noqa: E731
+    until(lambda: (answer := get()).status_code == 200 and not answer.json()["running"], 60)
+    return get().json()
+
+
+def test_a_series_has_what_an_export_has_for_every_frame_its_highest_values_and_a_csv(client, folder, tmp_path):
+    config, target = tmp_path / "palm.toml", tmp_path / "a.npz"
+    config.write_text(CONFIG)
+    job = ExportJob.of(config, parse(CONFIG), "palm", regions=REGIONS)
+    job.make(folder / "a.log", target)
+    with np.load(target) as arrays:
+        expected, restored = (
+            arrays["regions"],
+            arrays["restored"].reshape(FRAMES, -1),
+        )
+    series = measured(client, regions="heel,toe")
+    assert [series[key] for key in ("frames", "measured", "error", "unit")] == [FRAMES, FRAMES, None, "kPa"]
+    for n, area in enumerate(series["regions"]):
+        assert area["name"] == ("heel", "toe")[n]
+        for k, key in enumerate(("force", "mean", "peak", "area")):
+            np.testing.assert_allclose(np.array(area[key], float), expected[:, n, k], rtol=1e-6)
+        for k, key in enumerate(("force", "peak")):
+            best = int(np.nanargmax(expected[:, n, 2 * k]))
+            highest = area["highest"][key]
+            assert highest["number"] == best
+            assert highest["value"] == pytest.approx(expected[best, n, 2 * k])
+            assert highest["position_s"] == pytest.approx(series["position_s"][best])
+    total = 1e-3 * job.plan().cells.side ** 2 * restored.sum(axis=1)
+    np.testing.assert_allclose(np.array(series["total"]["force"], float), total, rtol=1e-4)
+    lost = [20, 40, 41]
+    assert np.flatnonzero(np.isnan(total)).tolist() == lost
+    details = client.get("/a.log/frames/50", params=PALM).json()
+    assert [each["name"] for each in details["regions"]] == ["heel", "toe"]
+    assert details["regions"][1]["peak"] == pytest.approx(series["regions"][1]["peak"][50])
+    answer = client.get("/a.log/series", params=PALM | {"regions": "heel,toe", "format": "csv"})
+    rows = list(csv.DictReader(answer.text.splitlines()))
+    assert answer.headers["content-disposition"] == 'attachment; filename="a-palm.csv"'
+    assert list(rows[0])[:3] == ["frame", "position_s", "total_force_N"]
+    assert list(rows[0])[6:10] == ["heel_force_N", "heel_mean_kPa", "heel_peak_kPa", "heel_area_mm2"]
+    assert list(rows[0])[14:] == ["missing_taxels"]
+    assert [int(each["frame"]) for each in rows] == list(range(FRAMES))
+    assert [n for n, each in enumerate(rows) if int(each["missing_taxels"])] == lost
+    forces = [float(each["heel_force_N"] or "nan") for each in rows]
+    np.testing.assert_allclose(forces, np.array(series["regions"][0]["force"], float), rtol=1e-5)
+
+
+def test_of_a_long_recording_each_piece_has_its_highest_value(client, monkeypatch):
+    every = measured(client, regions="toe")["regions"][0]
+    monkeypatch.setattr(recorded_series, "MAX_POINTS", 7)
+    pieces = measured(client, regions="toe", method="nnls")
+    assert len(pieces["position_s"]) == len(pieces["total"]["force"]) == 7
+    assert max(pieces["regions"][0]["force"]) == pieces["regions"][0]["highest"]["force"]["value"]
+    assert len(every["force"]) == FRAMES
+
+
+def test_what_cannot_be_measured_is_refused_in_a_line_and_one_series_is_measured_at_a_time(client, monkeypatch):
+    get = lambda **query: client.get("/a.log/series", params=PALM | query)  # noqa: E731
+    measured(client)
+    assert problem(get(regions="heal"), 404) == "sensor 'palm' has no region 'heal'; there are: heel, toe"
+    assert "best" in problem(get(method="best"), 422)
+    assert problem(get(sensor="plam"), 404).startswith("sensor 'plam'")
+    monkeypatch.setattr(recorded_series.RecordedSeries, "running", property(lambda _: True))
+    assert problem(get(method="wiener"), 409) == "recording a.log: another series is being measured"
+    assert problem(get(format="csv"), 409) == f"recording a.log: {FRAMES} of {FRAMES} frames are measured"

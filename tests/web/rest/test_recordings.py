@@ -272,13 +272,6 @@ def test_what_the_disk_refuses_is_named(folder, request, monkeypatch):
         assert problem(api.client.delete(f"{ROOT}/a.log"), 503) == "recording a.log: Read-only file system"
 
 
-def test_the_end_of_the_service_completes_a_recording(folder, request):
-    with Api(folder, request.node.name).serving() as api:
-        api.start("a.blf")
-        api.send(1, 1)
-    assert len(list(recording.read(folder / "a.blf"))) == 1
-
-
 def test_a_recording_whose_file_is_removed_ends_and_its_bus_is_free_again(api, folder):
     api.start("a.log")
     api.send(10, 10)

@@ -1,8 +1,10 @@
-"""Streams of several sensors, and what every stream refuses."""
+"""Streams of several sensors, also while they are reloaded, and what every stream refuses."""
 
+import asyncio
 import re
 import time
 from io import BytesIO
+from types import SimpleNamespace
 
 import httpx
 import numpy as np
@@ -10,12 +12,13 @@ import pytest
 from websockets.sync.client import connect as connect_socket
 
 from tactiled.client import connect
+from tactiled.live.hub import Hub
 from tactiled.web import answers
-from tactiled.web.ws.feed import Feed
-from tests.conftest import NO_LOAD, Rig, meanwhile, pressed, running, until
+from tactiled.web.ws.feed import Feed, Feeds
+from tests.conftest import CONFIG, NO_LOAD, Rig, meanwhile, pressed, run_apart, running, until
 from tests.skin import TIP
 from tests.web.http.raw import websocket_url
-from tests.web.ws.clients import NEXT, SEVERAL, closed, images, stream, text, text_of, texts
+from tests.web.ws.clients import NEXT, ONE, SEVERAL, closed, images, stream, text, text_of, texts
 
 
 @pytest.fixture
@@ -110,32 +113,31 @@ def test_credit_is_for_one_sensor_or_for_all(rig, url):
         texts(client, 0.3)
 
 
-PALM = "/api/v1/sensors/palm/stream"
 REFUSED = {
     f"{SEVERAL}?sensors=palm,plam": (4404, "sensor 'plam': no such sensor: there are palm, tip"),
     f"{SEVERAL}?sensors=": (4404, "sensor '': no such sensor: there are palm, tip"),
     "/api/v1/sensors/plam/stream": (4404, "sensor 'plam': no such sensor: there are palm, tip"),
     f"{SEVERAL}?shear=tip": (4404, "sensor 'tip': its codec packed carries no shear"),
     "/xela": (4404, "no sensor here has the codec xela"),
-    f"{PALM}?kinds=shear": (4404, "sensor 'palm': its codec packed carries no shear"),
+    f"{ONE}?kinds=shear": (4404, "sensor 'palm': its codec packed carries no shear"),
     f"{SEVERAL}?sensors=tip,tip": (4400, "sensors=tip,tip: give each name once"),
     f"{SEVERAL}?sensors=tip&shear=palm": (4400, "shear=palm: give some of tip"),
     f"{SEVERAL}?kinds=raw,raw": (4400, "kinds=raw,raw: give each name once"),
     f"{SEVERAL}?sensor=tip": (4400, "sensor: no such parameter: there are kinds, rate_hz, format, flow, contacts"),
-    f"{PALM}?sensors=tip": (4400, "sensors: no such parameter"),
-    f"{PALM}?kinds=raw,blurred": (4400, "kinds=raw,blurred: "),
-    f"{PALM}?kinds=": (4400, "kinds=: "),
-    f"{PALM}?kinds=raw&kinds=restored": (4400, "kinds: given 2 times"),
-    f"{PALM}?kinds={'ü' * 200}": (4400, "kinds=üüü"),  # cut to what a close frame holds
-    f"{PALM}?rate_hz=nan": (4400, "rate_hz=nan: "),
-    f"{PALM}?rate_hz=fast": (4400, "rate_hz=fast: "),
-    f"{PALM}?rate_hz=-1": (4400, "rate_hz=-1: "),
-    f"{PALM}?rate_hz=10001": (4400, "rate_hz=10001: "),
-    f"{PALM}?format=xml": (4400, "format=xml: "),
-    f"{PALM}?flow=all": (4400, "flow=all: "),
-    f"{PALM}?contacts=yes": (4400, "contacts=yes: "),
-    f"{PALM}?together=yes": (4400, "together=yes: "),
-    f"{PALM}?together=1&format=json": (4400, "together=1 needs format=binary"),
+    f"{ONE}?sensors=tip": (4400, "sensors: no such parameter"),
+    f"{ONE}?kinds=raw,blurred": (4400, "kinds=raw,blurred: "),
+    f"{ONE}?kinds=": (4400, "kinds=: "),
+    f"{ONE}?kinds=raw&kinds=restored": (4400, "kinds: given 2 times"),
+    f"{ONE}?kinds={'ü' * 200}": (4400, "kinds=üüü"),  # cut to what a close frame holds
+    f"{ONE}?rate_hz=nan": (4400, "rate_hz=nan: "),
+    f"{ONE}?rate_hz=fast": (4400, "rate_hz=fast: "),
+    f"{ONE}?rate_hz=-1": (4400, "rate_hz=-1: "),
+    f"{ONE}?rate_hz=10001": (4400, "rate_hz=10001: "),
+    f"{ONE}?format=xml": (4400, "format=xml: "),
+    f"{ONE}?flow=all": (4400, "flow=all: "),
+    f"{ONE}?contacts=yes": (4400, "contacts=yes: "),
+    f"{ONE}?together=yes": (4400, "together=yes: "),
+    f"{ONE}?together=1&format=json": (4400, "together=1 needs format=binary"),
 } | {
     path: (4404, f"{path}: no stream")
     for path in ("/api/v1/streams", f"{SEVERAL}/", "/xela/", "/static/app.js", "/metrics")
@@ -195,3 +197,82 @@ def test_a_layout_that_is_no_grid_has_a_raster_everywhere_and_one_value_a_taxel_
         assert connect(url).snapshot("tip").force == pytest.approx(
             np.nansum(image.restored) * cells.side**2 * 1e-3
         )
+
+
+THUMB = TIP.replace("tip", "thumb").replace("array_id = 1", "array_id = 2")
+REMOVED = "is no longer in the configuration"
+
+
+@pytest.fixture
+def reload(rig, tmp_path):
+    rig.service.path = tmp_path / "rig.toml"
+
+    def write(*others, change=("", "")):
+        palm = CONFIG.format(channel=rig.config.bus["can0"].channel).replace(*change)
+        rig.service.path.write_text(palm + "".join(others))
+        return rig.service.reload()
+
+    return write
+
+
+def test_a_stream_of_all_goes_on_with_the_sensors_that_there_are(rig, url, reload):
+    with stream(url, "?flow=credit&kinds=raw", SEVERAL) as client:
+        text(client, lambda each: each["sensor"] == "tip")
+        client.send(NEXT)
+        reload(THUMB)
+        last = text(client, lambda each: (each["sensor"], each["state"]) == ("tip", "down"))
+        assert last["detail"] == REMOVED
+        text(client, lambda each: each["sensor"] == "thumb")
+        client.send('{"type": "next", "sensor": "thumb"}')
+        client.send('{"type": "next", "sensor": "tip"}')  # under way when it was removed
+        for name in ("palm", "thumb"):
+            show(rig, name)
+            assert [each.sensor for each in images(client, 1)] == [name]
+        reload(THUMB, TIP)
+        text(client, lambda each: (each["sensor"], each["state"]) == ("tip", "silent"))
+        show(rig, "tip")
+        assert images(client, 1)[0].sensor == "tip"  # what was requested of it before comes
+
+
+def test_a_stream_of_sensors_that_are_all_removed_is_closed(rig, url, reload):
+    with (
+        stream(url, path=ONE.replace("palm", "tip")) as one,
+        stream(url, "?sensors=tip", SEVERAL) as named,
+        stream(url, "?sensors=palm,tip&kinds=raw", SEVERAL) as both,
+    ):
+        text(one)
+        reload()
+        assert closed(one) == closed(named) == (4410, "tip: no longer in the configuration")
+        rig.show(pressed())
+        assert images(both, 1)[0].sensor == "palm"
+
+
+def test_a_stream_of_a_sensor_that_restarts_goes_on_in_its_new_shape(rig, url, reload):
+    with stream(url, "?kinds=restored") as client:
+        rig.show(pressed())
+        assert images(client, 1)[0].values.shape == (8, 8)
+        reload(TIP, change=('method = "wiener"', 'method = "raw"\nrefine = 2'))
+        text(client, lambda each: each["state"] == "silent")
+        show(rig, "palm")
+        image = images(client, 1)[0]
+        assert (image.sequence, image.values.shape) == (0, (16, 16))
+
+
+def test_the_loop_takes_the_newest_image_of_each_sensor_in_one_turn_and_an_error_of_one_stops_no_other():
+    sensors = {name: SimpleNamespace(name=name, hub=Hub()) for name in ("broken", "sound")}
+    seen, errors, divisor = [], [], [1]
+
+    async def main():
+        asyncio.get_running_loop().set_exception_handler(lambda _, context: errors.append(context["message"]))
+        feeds = Feeds(SimpleNamespace(sensors=sensors))
+        sound = feeds["sound"]
+        with feeds["broken"].listen(lambda: 1 / divisor[0]), sound.listen(lambda: seen.append(sound.image)):
+            divisor[0] = 0
+            for image in (1, 2, 3):
+                for each in sensors.values():
+                    each.hub.publish(image)
+            await asyncio.sleep(0.01)
+
+    run_apart(main())
+    assert seen == [None, 3]
+    assert errors == ["stream of broken"]
