@@ -90,7 +90,7 @@ def test_every_fault_of_a_skins_settings_is_named(install, codec, reasons):
         ("rows = self", "counts = counts // 2; rows = self", "taxel 1 was encoded as 1 and decoded as 0"),
         ("astype(np.uint16)", "astype(np.int32)", r"unpack gave int32 \(8,\), not uint16 or float32 \(8,\)"),
         ("enumerate(rows)", "enumerate(rows[:1])", "do not carry every taxel once"),
-        ("self.base_id + at, row", "at, row", "a message with id 0x0, which the codec does not list"),
+        ("first + at, row", "at, row", "a message with id 0x0, which the codec does not list"),
         (", full_scale = 8, 4, 255", " = 8, 4", "NotImplementedError: full_scale"),
         ("size, taxels,", "modulus = 4; size, taxels,", "decode gave no sequence number of message 0x120"),
         ("message.id - self", "1 + message.id - self", "decode gave segment 2 of message 0x121: expected 0 to 1"),
