@@ -3,31 +3,20 @@
 import numpy as np
 import pytest
 
-from tactiled.build import sensor_plans
 from tactiled.bus.grid_shape import alike_shapes
-from tactiled.config import parse
 from tactiled.geometry import grid
 from tactiled.simulate.array import Surface
 from tactiled.simulate.scenes import SCENES
+from tests.plans import plan
 
-CONFIG = """
-[bus.can0]
-interface = "virtual"
-[sensor.pad]
-bus = "can0"
-codec = {{ name = "packed" }}
-array = {{ rows = {}, columns = {}, pitch_mm = 2.0 }}
-cover = {{ thickness_mm = {}, young_mpa = 0.4, poisson = 0.48 }}
-kernel = {{ model = "layered" }}
-"""
 TELLING = {"ring", "sphere", "straightedge"}
 SILENT = {"empty", "steps", "uniform"}
 
 
 @pytest.mark.parametrize(("rows", "columns", "thickness_mm"), [(16, 10, 1.0), (10, 16, 3.0), (9, 14, 2.0)])
 def test_rows_and_columns_are_those_of_the_array_or_none(rows, columns, thickness_mm):
-    (plan,) = sensor_plans(parse(CONFIG.format(rows, columns, thickness_mm)))
-    surface = Surface(plan.kernel, grid(rows, columns, 2.0, None, "square"))
+    kernel = plan((rows, columns), thickness_mm / 2.0, pitch=2.0).kernel
+    surface = Surface(kernel, grid(rows, columns, 2.0, None, "square"))
     rng = np.random.default_rng(rows)
     solved = set()
     for name, scene in SCENES.items():
