@@ -7,7 +7,6 @@ import pytest
 from tactiled.bus.codecs.barrett import Barrett
 from tactiled.bus.codecs.icub import Icub
 from tactiled.bus.codecs.linker import Linker
-from tactiled.bus.codecs.omnihand import OmniHand
 from tactiled.bus.codecs.packed import Packed
 from tactiled.bus.codecs.xela import Xela
 from tactiled.bus.polling import START_AGAIN_S, Poll, Poller, Polling
@@ -127,19 +126,10 @@ STARTS = ["4d001ef0", "50050502010022", "0700"]  # as the robot's own software
             Icub(2, (9, 8, 7, 6, 5, 4, 3, 2, 1, 0), True, 3, True, 50, shift=1, cdc_offset=0),
             0x202, ["4d0332f0", "50000901010000", "0700"], [0.0, 0.0, 0.5], STOPS, [],
         ),
-        (Xela("4x4-old", controller=2, start=True), 0x202, ["0700"], [0.0], STOPS, []),
-        (OmniHand(3, parts=(6,)), 0x6050103, [], [], [], [("00" * 64, range(1), 0.05)]),
-        (Barrett(11, 20.0), 0x00B, ["ea0002000000"], [0.0], [], [("6a", range(5), 0.05)]),
         (
             Linker("right", (2, 1), poll_hz=50), 0x27, [], [], [],
             [("b2c6", range(12), 0.02), ("b1c6", range(12, 24), 0.02)],
         ),
-        (Linker("left", (5,), layout="10x4"), 0x28, [], [], [], [("b5a4", range(10), 0.05)]),
-        (
-            Linker("left", (1, 6), layout="g20-5"), 0x28, [], [], [],
-            [("b1170901", range(43), 0.05), ("b61c1401", range(43, 156), 0.05)],
-        ),
-        (Linker("left", (1,), layout="g20-7"), 0x28, [], [], [], [("b10c0601", range(16), 0.05)]),
     ],
 )  # fmt: skip
 def test_golden_messages_to_skins(codec, id_, start, delays, stop, polls):

@@ -122,12 +122,10 @@ def test_socketcan_is_asked_for_the_sensors_ids_only(settings, filtered):
     assert only(settings, {(0x501, False), (0x500, False), (0x18FF0000, True)}) == expected
 
 
-def test_the_sockets_buffer_is_enlarged_and_a_closed_bus_still_tells_its_counts():
+def test_a_closed_bus_still_tells_its_counts():
     ours, theirs = socket.socketpair(type=socket.SOCK_DGRAM)
     with ours, theirs:
-        before = ours.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF)
         reader = Reader(Socketcan([], ours), "socketcan can0")
-        assert ours.getsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF) >= before
         reader.close()
         assert reader.counts() == NO_LOSS
         assert ours.fileno() >= 0  # still theirs to close

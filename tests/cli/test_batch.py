@@ -169,7 +169,7 @@ def test_a_worker_killed_in_the_middle_costs_time_alone(recordings, config, monk
     for number in range(3, 5):
         write(recordings / "day" / f"r{number}.log", traffic(missing={(7 + number, 0)}))
     out = recordings.parent / "out"
-    command = [*TACTILED, "export", recordings, "--config", config, "-o", out / "{}.npz", "--workers", "2"]
+    command = [*TACTILED, "export", recordings, "--config", config, "-o", out / "{}.npz", "--workers", "1"]
     with subprocess.Popen(
         [*map(str, command)], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as process:

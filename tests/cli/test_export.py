@@ -246,24 +246,34 @@ def test_a_layout_without_a_grid(tmp_path):
 
 
 def test_shear_is_restored_from_the_rest_that_a_recording_begins_with(tmp_path):
-    path, rows = tmp_path / "skin.toml", []
+    path, rows, shear = tmp_path / "skin.toml", [], np.empty((40, 2, 2, 3), np.float32)
     path.write_text(SKIN.format(channel="skin").replace("dead = [5]", f"dead = [5]{SCALE}"))
     codec = make_codec(load(path).sensor["skin"])
     for n in range(40):
-        dragged = (X + 2000, Y, Z + np.array([9000, 9000, 0, 0, 0, 0])) if n >= 36 else (X, Y)
-        rows += messages(codec, *dragged, now=1.6e9 + n / 100)
+        x, z = (X + 2000, Z + np.array([9000, 9000, 0, 0, 0, 0])) if n >= 36 else (X, Z)
+        rows += messages(codec, x, Y, z, now=1.6e9 + n / 100)
+        shear[n] = np.reshape([x, Y], (2, 2, 3))
+    shear[:, :, 1, 2] = np.nan  # dead
     log = write(tmp_path / "skin.log", rows)
     with np.load(exported(log, path, tmp_path / "a.npz")) as got:
         traction, spread = got["traction"], got["traction_deviation"]
-        np.testing.assert_array_equal(got["shear"][-1][:, 0, 0], [X[0] + 2000, Y[0]])  # as sensed
+        np.testing.assert_array_equal(got["shear"], shear)  # as sensed
+        assert got["shear"].dtype == np.float32
         assert json.loads(got["provenance"].item())["units"]["traction"] == "kPa"
     assert traction.shape == spread.shape == (40, 2, 2, 3)
     assert not traction[:36].any()
     assert traction[-1, 0].max() > 5 * spread[-1, 0].min() > 0
+    with h5py.File(exported(log, path, tmp_path / "a.h5")) as got:
+        np.testing.assert_array_equal(got["shear"], shear)
+        assert got["shear"].attrs["units"].startswith("counts")
     with exported(log, path, tmp_path / "a.csv").open(newline="") as file:
         last = [*csv.DictReader(file)][-1]
     assert float(last["traction_x_kPa_0_0"]) == pytest.approx(traction[-1, 0, 0, 0], rel=1e-4)
     got, _ = topics(exported(log, path, tmp_path / "a.mcap"))
+    grids = [each.decoded_message for each in got["/skin/shear"]]
+    on_grid = [[pressures(grid, f"shear_{axis}_counts") for axis in "xy"] for grid in grids]
+    np.testing.assert_array_equal(on_grid, shear)
+    assert (grids[0].cell_size.x, grids[0].pose.position.x) == (0.004, -0.002)
     np.testing.assert_array_equal(
         pressures(got["/skin/traction"][-1].decoded_message, "shear_x_kpa"), traction[-1, 0]
     )
@@ -275,28 +285,6 @@ def test_shear_is_restored_from_the_rest_that_a_recording_begins_with(tmp_path):
     begun = write(tmp_path / "begun.log", rows[36 * 6 :])
     with np.load(exported(begun, path, tmp_path / "b.npz")) as got:
         assert np.isnan(got["traction"]).all()
-
-
-def test_shear_of_a_3_axis_skin_in_every_format(tmp_path):
-    path, shear = tmp_path / "skin.toml", np.empty((10, 2, 2, 3), np.float32)
-    path.write_text(SKIN.format(channel="skin"))
-    codec, rows = make_codec(load(path).sensor["skin"]), []
-    for n in range(10):
-        rows += messages(codec, X + n, Y - n, Z + 10 * n, 1.6e9 + n / 100)
-        shear[n] = np.reshape([X + n, Y - n], (2, 2, 3))
-    shear[:, :, 1, 2] = np.nan  # dead
-    log = write(tmp_path / "skin.log", rows)
-    for ending, opened in (("npz", np.load), ("h5", h5py.File)):
-        with opened(exported(log, path, tmp_path / f"a.{ending}")) as got:
-            np.testing.assert_array_equal(got["shear"][()], shear)
-            assert got["shear"].dtype == np.float32
-            if ending == "h5":
-                assert got["shear"].attrs["units"].startswith("counts")
-    got, _ = topics(exported(log, path, tmp_path / "a.mcap"))
-    grids = [each.decoded_message for each in got["/skin/shear"]]
-    on_grid = [[pressures(grid, f"shear_{axis}_counts") for axis in "xy"] for grid in grids]
-    np.testing.assert_array_equal(on_grid, shear)
-    assert (grids[0].cell_size.x, grids[0].pose.position.x) == (0.004, -0.002)
 
 
 @pytest.mark.parametrize(
