@@ -22,8 +22,7 @@ from tactiled.errors import ConfigError, TactileError
 from tactiled.frames import FrameWarning
 from tactiled.web.rest import frames
 from tactiled.web.server import running
-from tests.client.test_client import answering
-from tests.client.test_stream import GUIDE
+from tests.client.test_stream import GUIDE, answering
 from tests.conftest import pressed, run_apart, until
 from tests.skin import PALM, X, Y, rigged
 

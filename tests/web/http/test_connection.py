@@ -2,6 +2,8 @@
 
 import asyncio
 import json
+import re
+import socket
 from contextlib import ExitStack
 from unittest.mock import Mock
 
@@ -10,15 +12,18 @@ import uvicorn
 from uvicorn.server import ServerState
 from websockets.sync.client import connect
 
+from tactiled import logs
 from tactiled.config import Server
+from tactiled.errors import TactileError
+from tactiled.web.app import create
 from tactiled.web.http import connection_limit
 from tactiled.web.http.connection import Connection
 from tactiled.web.http.connection_limit import Places
 from tactiled.web.http.protocols import WebSocket
 from tactiled.web.http.timeouts import MAX_FRAGMENTS, MAX_HEAD, Phase
-from tactiled.web.server import running
+from tactiled.web.server import serve
 from tests.attack.wire import CLOSE, PING, TEXT, frame
-from tests.conftest import BUSY_S, ask, run_apart
+from tests.conftest import BRIDGES, BUSY_S, ask, run_apart, running
 from tests.web.http.raw import UPGRADE, bound, plug, read_all, websocket_url
 
 
@@ -229,3 +234,29 @@ def test_frames_that_come_with_a_handshake_are_read_behind_its_answer(url):
         head, _, frames = read_all(end).partition(b"\r\n\r\n")
     assert head.startswith(b"HTTP/1.1 101 ")
     assert b"\x8a\x04here" in frames
+
+
+def test_an_address_that_cannot_be_bound_is_refused_in_one_line(rig):
+    def error(**address):
+        with pytest.raises(TactileError) as caught:
+            running(rig.service, Server(control_token="a" * 16, **address)).__enter__()
+        return str(caught.value)
+
+    with socket.create_server(("127.0.0.1", 0)) as other:
+        port = other.getsockname()[1]
+        assert error(port=port).startswith(f"address 127.0.0.1:{port}: in use: choose another port")
+        with pytest.raises(TactileError, match=f"address 127.0.0.1:{port}: in use"):
+            serve(create(rig.service, config := Server(port=0, xela=port), BRIDGES), config)
+    for host in ("nowhere.invalid", "203.0.113.7", "a" * 64):
+        assert host in error(host=host)
+        assert "\n" not in error(host=host)
+
+
+def test_a_client_that_comes_as_soon_as_the_address_is_announced_is_not_refused(rig, monkeypatch):
+    def connect(text):
+        socket.create_connection(("127.0.0.1", int(re.search(r":(\d+)/", text)[1]))).close()
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(logs, "announce", connect)
+    with pytest.raises(KeyboardInterrupt):
+        serve(create(rig.service, Server(port=0)), Server(port=0))

@@ -1,15 +1,20 @@
 import re
 import shutil
+from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 import pytest
 
 from tactiled.calibrate.upkeep.health import RULES, Fault
 from tactiled.config import parse
+from tactiled.frames import Loss, RawFrame
 from tactiled.live.service import Service
 from tactiled.live.state_file import StateFile
+from tactiled.web.rest import events, trace
 from tactiled.web.server import running
+from tests.calibrate.counts.skins import contact
 from tests.conftest import BUSY_S, CONFIG, GAIN, NO_LOAD, SIDE, ask, pressed, problem, until
+from tests.web.ws.clients import images, stream
 
 TARE = "/sensors/palm/tare"
 
@@ -198,3 +203,90 @@ def test_taxels_that_do_not_work_noise_and_drift_are_served(live, client):
     assert after["drift_counts"] == [0.0] * 64
     assert sum(after["drift_states"].values()) == after["drift_states"]["free"] == 64
     assert client.get("/sensors/palm").json()["references"] is None
+
+
+TRACE = "/api/v1/sensors/palm/trace"
+STAGES = ["first_message", "last_message", "assembled", "started", "calibrated", "restored", "checked"]
+
+
+@pytest.fixture
+def traced(rig, monkeypatch):
+    """The rig with a sensor that stays live however busy the machine is."""
+    monkeypatch.setattr(trace, "MAX_WAIT_S", BUSY_S)
+    rig.stale_after(BUSY_S)
+    rig.show(pressed())
+    return rig
+
+
+def test_a_trace_has_every_stage_of_the_next_frame_and_what_became_of_it(traced, url):
+    with stream(url, "?kinds=restored") as client, ThreadPoolExecutor(1) as other:
+        images(client, 1)
+        listeners = len(traced.sensor.hub._listeners)
+        answer = other.submit(ask, "GET", url + TRACE)
+        until(lambda: len(traced.sensor.hub._listeners) > listeners)
+        image = traced.show(pressed())
+        got = answer.result().json()
+    assert (got["sequence"], got["timestamp"], got["method"]) == (1, image.time, "wiener")
+    assert (got["contacts"], got["sends"]) == (1, 1)
+    ages = got["age_s"]
+    assert [*ages] == [*STAGES, "published", "contacts", "sent_first", "sent_last"]
+    assert [*ages.values()][:8] == sorted([*ages.values()][:8])
+    assert ages["last_message"] == 0
+    assert ages["first_message"] == pytest.approx(-traced.sensor.newest.skew, abs=1e-6)
+    assert ages["checked"] - ages["started"] == pytest.approx(image.microseconds * 1e-6, abs=1e-6)
+    assert ages["sent_last"] == ages["sent_first"] > 0
+
+
+def test_a_sensor_that_is_not_live_has_no_trace(url):
+    assert problem(ask("GET", url + TRACE), 503) == "sensor 'palm': no frame yet on can0"
+
+
+def test_a_few_may_wait_for_a_trace_and_without_clients_none_is_sent(traced, monkeypatch):
+    monkeypatch.setattr(events, "MAX_WAITING_PER_CLIENT", 1)
+    with running(traced.service) as url, ThreadPoolExecutor(1) as other:
+        first = other.submit(ask, "GET", url + TRACE)
+        until(lambda: traced.sensor.hub._listeners)
+        problem(ask("GET", url + TRACE), 429)
+        traced.show(pressed())
+        got = first.result().json()
+    assert (got["sequence"], got["sends"], [*got["age_s"]]) == (1, 0, [*STAGES, "published", "contacts"])
+
+
+SWAPPED = [20, 43]
+
+
+def test_swapped_taxels_are_found_masked_and_logged_and_all_is_undone_when_they_are_put_right(rig, client):
+    rig.stale_after(600)
+    random, array, monitor = np.random.default_rng(1), rig.sensor.array, rig.sensor.pipeline.monitor
+    sequence, sigma = 0, np.ones(rig.sensor.array.size, np.float32)
+
+    def touch(*wrong):
+        """Let the map see loads at ever other places, and offer unloaded frames."""
+        nonlocal sequence
+        for place in random.uniform(0, 7, (20, 1, 2)):
+            sequence += 1
+            load = contact(place, np.array([1.0]), array, width_mm=1.1)[0] / GAIN
+            load[list(wrong)] = load[list(wrong)[::-1]]
+            monitor.map.observe(sequence / 10, (load + random.normal(0, 1, array.size)).astype(np.float32), sigma)
+            counts, flags = np.full(array.size, NO_LOAD, np.uint16), np.zeros(array.size, np.uint8)
+            rig.sensor.restore(RawFrame(sequence, sequence / 10, 0.0, counts, flags, Loss(), sequence / 10))
+
+    def kinds():
+        return [(each.kind, each.text) for each in rig.service.events.after(0)]
+
+    def health():
+        answer = client.get("/sensors/palm/health")
+        assert answer.status_code == 200, answer.text
+        return answer.json()
+
+    assert health()["map"] is None
+    until(lambda: (touch(*SWAPPED), monitor.state.faults.any())[1])
+    assert health()["map"] == "taxels 20 and 43 swapped"
+    assert [(each["taxel"], each["fault"]) for each in health()["faults"]] == [(at, "swapped") for at in SWAPPED]
+    assert {"faulty", "wrong_map"} <= {each.code for each in rig.sensor.hub.latest().warnings}
+    until(lambda: [each for each in kinds() if each[0] == "warning_raised" and "20 and 43 swapped" in each[1]])
+    until(lambda: any(kind == "taxel_faulty" and "taxels 20, 43 swapped" in text for kind, text in kinds()))
+    until(lambda: (touch(), not monitor.map.wrong and not monitor.state.faults.any())[1])
+    assert (health()["map"], health()["faults"]) == ("as configured", [])
+    until(lambda: (touch(), any(kind == "taxel_healed" for kind, _ in kinds()))[1])
+    until(lambda: any(kind == "warning_cleared" and "swapped" in text for kind, text in kinds()))
