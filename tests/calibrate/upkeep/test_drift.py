@@ -14,7 +14,7 @@ from tests.plans import plan
 
 SIDE, FULL_SCALE, NO_LOAD = 24, 3900.0, 100.0  # taxels, counts, counts
 HOUR = 3600.0
-RATE_HZ, NOISE = 5.0, 0.003  # of full scale
+RATE_HZ, NOISE = 2.0, 0.003  # of full scale
 LOAD = 0.2  # of full scale, on the foot
 LEARN_S = 1800.0  # before the foot comes
 
@@ -80,14 +80,14 @@ def foot():
 def test_a_drift_of_5_percent_an_hour_stays_within_half_a_percent(rate_hz, noise, sign):
     run = Run(plan((8, 8), 1.0) if rate_hz > 10 else None, rate_hz, noise, sign=sign)
     worst = 0.0
-    for minute in range(60 if rate_hz < 10 else 15):
+    for minute in range(60 if rate_hz < 10 else 8):
         run.play(60, lambda t, began=60 * minute: 0.05 * (began + t) / HOUR)
         worst = max(worst, float(np.abs(run.error).max()))
-    assert (run.drifted / FULL_SCALE).max() > (0.05 if rate_hz < 10 else 0.015)
+    assert (run.drifted / FULL_SCALE).max() > (0.05 if rate_hz < 10 else 0.008)
     assert worst < 0.005
 
 
-@pytest.mark.parametrize("drift", [0.0, 0.05, -0.05])
+@pytest.mark.parametrize("drift", [0.05, -0.05])
 def test_a_foot_that_stands_for_an_hour_does_not_fade_and_its_zero_is_right_when_it_lifts(foot, drift):
     felt, under, skirt = foot
     run = Run()
@@ -107,7 +107,7 @@ def test_a_foot_that_stands_for_an_hour_does_not_fade_and_its_zero_is_right_when
 def test_zeros_follow_an_array_that_warms_up_while_it_is_touched(foot):
     """8 % of full scale in a quarter of an hour, a third of it in the first two minutes."""
     felt, _, _ = foot
-    run, warm = Run(spread=0.2), lambda t: 0.08 * (1 - np.exp(-t / 300))
+    run, warm = Run(rate_hz=5.0), lambda t: 0.08 * (1 - np.exp(-t / 300))
     run.play(60)
     for began in range(0, 900, 150):
         run.play(100, lambda t, began=began: warm(began + t))
@@ -116,6 +116,9 @@ def test_zeros_follow_an_array_that_warms_up_while_it_is_touched(foot):
     run.play(300, lambda t: warm(900 + t))
     assert np.abs(run.error).max() < 0.002
     assert (run.tracker.state == DriftState.FREE).all()
+    assert np.abs(run.tracker.correction).max() > 0.005 * FULL_SCALE
+    run.tracker.reset(run.no_load + run.drifted)  # a tare starts over
+    assert not run.tracker.correction.any()
 
 
 def test_an_array_that_warms_up_too_fast_to_be_followed_is_told_to_be_tared_until_it_is():
@@ -193,9 +196,9 @@ def test_a_load_of_0_3_percent_and_one_and_a_half_times_the_noise_does_not_fade(
 
 
 def test_zeros_do_not_move_faster_than_the_bound():
-    run = Run(spread=0.0)
+    run = Run(plan((12, 12), 1.0), spread=0.0)
     run.play(60)
-    for _ in range(5):  # a light touch too weak for a contact, a step of everything, and back
+    for _ in range(3):  # a light touch too weak for a contact, a step of everything, and back
         before, began = run.tracker.correction.copy(), run.time_s
         run.play(120, load=0.0015)
         run.play(120, load=0.03)
@@ -225,15 +228,6 @@ def test_reference_pads_move_the_zeros_where_everything_is_loaded():
         each.faded = float(np.abs(each.error - began).max())
     assert blind.faded > 0.01  # the last rate of the common mode, held, makes up for half of it
     assert run.faded < 0.006
-
-
-def test_a_tare_starts_over():
-    run = Run()
-    run.play(HOUR / 4, lambda t: 0.05 * t / HOUR)
-    assert np.abs(run.tracker.correction).max() > 0.005 * FULL_SCALE
-    run.tracker.reset(run.no_load + run.drifted)
-    assert not run.tracker.correction.any()
-    assert (run.tracker.state == DriftState.FREE).all()
 
 
 def test_surroundings_of_a_layout_are_discs_and_of_a_grid_hold_them():
