@@ -94,7 +94,7 @@ def test_what_double_precision_cannot_solve_is_refused(layers, model, text):
         solve(Stack(layers), model)
 
 
-@pytest.mark.parametrize("contrast", [1e6, 1e9, 1e12])
+@pytest.mark.parametrize("contrast", [1e6, 1e12])
 @pytest.mark.parametrize("sensing", [1, 2])
 def test_moduli_far_apart_but_not_too_far_are_solved_as_well_as_any(contrast, sensing):
     stack = Stack((Layer(0.2, contrast, 0.3), Layer(1.0, 1.0, 0.4999), Layer(1.0, contrast, 0.3)), sensing)

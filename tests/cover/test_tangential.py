@@ -6,7 +6,7 @@ from tactiled.cover.tangential import responses
 from tactiled.geometry import grid
 
 STACK = Stack((Layer(2.0, 0.3, 0.45), Layer(1.0, 980.0, 0.3)))
-SIDE, STEP, WAVES = 2.0, 0.25, 512
+SIDE, STEP, WAVES = 2.0, 0.25, 256
 
 
 def test_responses_are_the_waves_of_the_gains_summed_on_a_fine_lattice():

@@ -31,3 +31,15 @@ def pressed():
         return (clean + random.normal(0, sigma, clean.shape)).astype(np.float32), truth
 
     return make
+
+
+@pytest.fixture
+def sensed(covered):
+    """Noisy frames of a scene under a cover."""
+    random = np.random.default_rng(5)
+
+    def make(truth, thickness=1.0, sigma=0.5):
+        clean = covered(truth.shape, thickness).forward(np.asarray(truth, float))
+        return (clean + random.normal(0, sigma, truth.shape)).astype(np.float32)
+
+    return make

@@ -19,18 +19,6 @@ def bump(width, peak=60.0):
     return peak * np.exp(-(x**2 + y**2) / (2 * width**2))
 
 
-@pytest.fixture
-def sensed(covered):
-    """Noisy frames of a scene under a cover."""
-    random = np.random.default_rng(5)
-
-    def make_frame(truth, thickness=1.0, sigma=SIGMA):
-        clean = covered(SHAPE, thickness).forward(np.asarray(truth, float))
-        return (clean + random.normal(0, sigma, SHAPE)).astype(np.float32)
-
-    return make_frame
-
-
 def test_noise_alone_is_idle_and_its_image_zero(covered, sensed):
     auto = make("auto", covered(SHAPE), SIGMA)
     results = [auto(sensed(np.zeros(SHAPE))) for _ in range(200)]

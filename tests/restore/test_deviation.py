@@ -13,7 +13,6 @@ from tests.bench.presses import presses
 from tests.plans import plan
 
 SIZE = 12
-SIGMA = 0.5
 
 
 def ratios(
@@ -59,8 +58,7 @@ def test_deviation_of_the_raw_image_counts_what_the_cover_did(noise):
     assert np.quantile(values, 0.9) < 2
 
 
-@pytest.mark.parametrize("method", ["wiener", "nnls"])
-@pytest.mark.parametrize("noise", [0.002, 0.01])
+@pytest.mark.parametrize(("method", "noise"), [("wiener", 0.01), ("nnls", 0.002)])
 def test_deviation_counts_that_small_spots_may_be_elsewhere(method, noise):
     """By a spectrum that is the same everywhere, it was 2.3 to 2.5 times too small."""
     values = ratios(method, noise, thicknesses=(0.5, 1.0), repeats=8, points=True)
@@ -74,16 +72,6 @@ def test_the_deviation_of_points_is_the_fits_own(method):
     assert len(values) > 3
     assert 0.25 < np.median(values) < 1.3
     assert max(values) < 2
-
-
-def test_deviation_on_a_layout(covered, pressed):
-    blur = covered((16, 16), layout=True)
-    frame, truth = pressed(blur, SIGMA)
-    restorer = make("wiener", blur, SIGMA)
-    image, spread = restorer(frame).image, restorer.deviation()
-    assert spread.shape == blur.surface_shape
-    assert (spread > 0).all()
-    assert 0.3 < np.sqrt(np.mean((image - truth) ** 2) / np.mean(spread**2)) < 3
 
 
 @pytest.mark.parametrize(("method", "within"), [("wiener", 1.1), ("nnls", 1.4), ("points", 2.0)])

@@ -57,11 +57,9 @@ ARRAYS = {
     "layout": {"shape": (6, 6), "layout": True},
     "one taxel": {"shape": (1, 1)},
     "one row": {"shape": (1, 16)},
-    "one column": {"shape": (16, 1)},
-    "one row, refined": {"shape": (1, 9), "refine": 3},
+    "one column, refined": {"shape": (9, 1), "refine": 3},
     "wider than the array": {"shape": (5, 4), "thickness": 8.0},
     "t/pitch 0.05": {"shape": (10, 10), "thickness": 0.05},
-    "t/pitch 0.3": {"shape": (10, 10), "thickness": 0.3},
     "t/pitch 3": {"shape": (10, 10), "thickness": 3.0},
     "t/pitch 10": {"shape": (20, 20), "thickness": 10.0},
     "with windows": {"shape": (46, 46)},
@@ -80,7 +78,7 @@ def test_never_nan_never_an_explosion(covered, method, array):
     for case, made in FRAMES.items():
         restorer = make(method, blur, SIGMA)
         frame, flags = made(blur.frame_shape)
-        for _ in range(3):
+        for _ in range(2):
             done = restorer(frame, flags)
             assert done.image.shape == blur.surface_shape, case
             assert np.isfinite(done.image).all(), case
@@ -89,20 +87,6 @@ def test_never_nan_never_an_explosion(covered, method, array):
             assert np.isfinite(restorer.deviation()).all() != (done.why == NO_DATA), case
         assert done.why != NO_DATA or not done.image.any()
         assert done.why == NO_DATA or case != "all dead"
-
-
-@pytest.mark.parametrize("case", FRAMES)
-@pytest.mark.parametrize("method", METHODS)
-def test_a_bad_frame_does_not_spoil_the_next(covered, pressed, method, case):
-    blur = covered((12, 12))
-    frame, truth = pressed(blur, SIGMA)
-    alone = make(method, blur, SIGMA)(frame).image.copy()
-    restorer = make(method, blur, SIGMA)
-    restorer(*FRAMES[case]((12, 12)))
-    for _ in range(4):
-        image = restorer(frame).image
-    size = np.linalg.norm(truth)
-    assert np.linalg.norm(image - truth) / size < 1.1 * np.linalg.norm(alone - truth) / size + 0.02
 
 
 @pytest.mark.parametrize("sigma", [1e-6, 1e-3, 1e3, 1e6])

@@ -32,7 +32,7 @@ def presses(thickness, gain, share=0.1, seed=77):
         yield skin.blur, sigma, ratio, *frames, truth
 
 
-@pytest.mark.parametrize(("thickness", "cost"), [(0.5, 0.65), (1.0, 0.5), (3.0, 0.1)])
+@pytest.mark.parametrize(("thickness", "cost"), [(0.5, 0.65), (3.0, 0.1)])
 def test_noisy_taxels_cost_less_than_as_normal_or_as_dead_ones(thickness, cost):
     errors = []
     for gain, share in product((5, 10), (0.03, 0.1)):

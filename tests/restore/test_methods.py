@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 
+from tactiled.bench.skin import nrmse
 from tactiled.errors import ConfigError
 from tactiled.frames import BAD, DEAD, MISSING, SATURATED
 from tactiled.restore.methods import METHODS, make, named
@@ -9,10 +10,6 @@ from tests.bench.presses import presses
 SIGMA = 0.5
 RESTORING = [name for name in METHODS if name != "raw"]
 LAYOUTS = [pytest.param(False, id="grid"), pytest.param(True, id="layout")]
-
-
-def error(image, truth):
-    return np.linalg.norm(image - truth) / np.linalg.norm(truth)
 
 
 def test_a_method_of_an_earlier_release_is_the_one_that_took_its_place(covered, pressed):
@@ -30,7 +27,7 @@ def test_a_restored_image_is_nearer_the_truth_than_the_raw_one(covered, pressed,
     frame, truth = pressed(blur, SIGMA)
     done = make(method, blur, SIGMA)(frame)
     assert done.image.shape == blur.surface_shape
-    assert error(done.image, truth) < 0.75 * error(frame.ravel()[blur.taxel], truth)
+    assert nrmse(done.image, truth) < 0.75 * nrmse(frame.ravel()[blur.taxel], truth)
     assert done.why
     assert (done.iterations > 0) == (done.method not in ("raw", "wiener", "idle"))
     assert method in ("wiener", "auto", "points") or done.image.min() >= 0
@@ -44,15 +41,15 @@ def test_a_finer_surface_is_restored_too(covered, pressed, method, refine):
     image = make(method, blur, SIGMA)(frame).image
     assert image.shape == (12 * refine, 12 * refine)
     most = 0.95 if (method, refine) == ("wiener", 3) else 0.9
-    assert error(image, truth) < most * error(np.kron(frame, np.ones((refine, refine))), truth)
+    assert nrmse(image, truth) < most * nrmse(np.kron(frame, np.ones((refine, refine))), truth)
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)
 @pytest.mark.parametrize("method", RESTORING)
-@pytest.mark.parametrize("sigma", [0.05, 0.5, 5.0])
+@pytest.mark.parametrize("sigma", [0.05, 5.0])
 def test_total_force_stays_within_the_noise(covered, pressed, method, layout, sigma):
     blur = covered((16, 16), layout=layout)
-    for seed in range(5):
+    for seed in range(3):
         frame, _ = pressed(blur, sigma, seed)
         image = make(method, blur, sigma)(frame).image
         drawn = 0.004 * frame.sum() if layout else 0  # cells of a layout are no squares of the raster
@@ -110,8 +107,8 @@ def test_unknown_taxels_are_inferred_whatever_their_values(covered, pressed, met
     images.append(make(method, blur, SIGMA)(broken[2]).image)  # NaN is unknown without a flag
     for image in images:
         np.testing.assert_array_equal(image, images[0])
-    assert error(images[0], truth) < error(make(method, blur, SIGMA)(frame).image, truth) + 0.15
-    assert error(images[0], truth) < error(make(method, blur, SIGMA)(broken[0]).image, truth)
+    assert nrmse(images[0], truth) < nrmse(make(method, blur, SIGMA)(frame).image, truth) + 0.15
+    assert nrmse(images[0], truth) < nrmse(make(method, blur, SIGMA)(broken[0]).image, truth)
 
 
 @pytest.mark.parametrize("method", METHODS)
@@ -131,21 +128,22 @@ def test_a_saturated_taxel_is_a_lower_bound(covered):
     ceiling = np.float32(0.7 * frame.max())
     flags = np.where(frame >= ceiling, SATURATED, 0).astype(np.uint8)
     cut = np.minimum(frame, ceiling)
-    naive = error(make("nnls", blur, SIGMA)(cut).image, truth)
-    assert error(make("nnls", blur, SIGMA)(cut, flags).image, truth) < 0.7 * naive
+    naive = nrmse(make("nnls", blur, SIGMA)(cut).image, truth)
+    assert nrmse(make("nnls", blur, SIGMA)(cut, flags).image, truth) < 0.7 * naive
     alone = np.zeros((16, 16), np.float32)
     alone[5, 5] = 200  # which its neighbours do not suggest
     assert make("raw", blur, SIGMA)(alone, np.where(alone > 0, SATURATED, 0).astype(np.uint8)).image[5, 5] == 200
 
 
-@pytest.mark.parametrize("size", [16, 46], ids=["full grid", "with windows"])
+@pytest.mark.parametrize("size", [16, 34], ids=["full grid", "with windows"])
 @pytest.mark.parametrize("method", METHODS)
 def test_no_frame_matters_to_the_next_and_frames_of_the_caller_are_not_touched(method, size):
     """Presses that overlap, a contact that grows, damage and an idle pad: the image is that of the frame alone."""
     cases = list(presses(size, (2.0,), (0.01,), seed=11))
     frames = [(press.frame / press.sigma).astype(np.float32) for press in cases]
     frames += [(share * frames[1]).astype(np.float32) for share in (0.01, 0.1, 0.3, 0.35)]
-    frames += [np.zeros_like(frames[0]), np.where(frames[2] > 50, np.nan, frames[2]), frames[0] + frames[2]]
+    frames += [np.zeros_like(frames[0]), frames[0] + frames[2], frames[0] - 30]
+    frames += [np.where(frames[2] > 50, np.float32(each), frames[2]) for each in (np.nan, np.inf, 1e9, 1e30, 3e38)]
     before, images = [frame.copy() for frame in frames], {}
     order = np.random.default_rng(0).permutation(len(frames))
     for turn in (order, order[::-1], order[5:6], order[9:10]):  # the last two are alone

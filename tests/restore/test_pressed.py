@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from tactiled.bench.skin import nrmse
 from tactiled.restore.auto import Auto
 from tactiled.restore.pressed import Pressed
 from tactiled.restore.scene import Scene
@@ -14,18 +15,6 @@ SIGMA = 0.5
 def disc(row, column, radius=3.0, peak=100.0):
     y, x = np.mgrid[: SHAPE[0], : SHAPE[1]]
     return peak * np.clip(radius + 0.5 - np.hypot(y - row, x - column), 0, 1)
-
-
-@pytest.fixture
-def sensed(covered):
-    """Noisy frames of a scene under a cover as thick as the pitch."""
-    random = np.random.default_rng(5)
-
-    def frame(truth):
-        clean = covered(SHAPE).forward(np.asarray(truth, float))
-        return (clean + random.normal(0, SIGMA, SHAPE)).astype(np.float32)
-
-    return frame
 
 
 @pytest.fixture
@@ -46,10 +35,6 @@ def both(covered):
     return restore
 
 
-def error(image, truth):
-    return np.linalg.norm(image - truth) / np.linalg.norm(truth)
-
-
 @pytest.mark.parametrize("place", [(15, 17), (8, 22), (24, 10)])
 def test_where_it_is_pressed_the_image_is_what_it_is_all_over(sensed, both, place):
     truth = disc(*place)
@@ -57,7 +42,7 @@ def test_where_it_is_pressed_the_image_is_what_it_is_all_over(sensed, both, plac
         done, full, part = both(sensed(truth))
         assert part[1] - part[0] < SHAPE[0] / 2
         assert done.method == full.method == "learned"
-        assert error(done.image, truth) < 1.05 * error(full.image, truth)
+        assert nrmse(done.image, truth) < 1.05 * nrmse(full.image, truth)
         assert np.sqrt(np.mean((done.image - full.image) ** 2)) < SIGMA
         assert done.image.sum() == pytest.approx(truth.sum(), rel=0.02)
 
@@ -68,7 +53,7 @@ def test_a_contact_that_crosses_is_never_cut(sensed, both):
         truth = disc(2 + step, 3 + 1.1 * step)
         done, full, part = both(sensed(truth))
         assert part[1] - part[0] < SHAPE[0]
-        errors.append((error(done.image, truth), error(full.image, truth)))
+        errors.append((nrmse(done.image, truth), nrmse(full.image, truth)))
     some, every = np.array(errors).T
     assert some.mean() < 1.01 * every.mean()
     assert (some < 1.1 * every).all()

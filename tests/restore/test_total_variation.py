@@ -63,7 +63,7 @@ def objective(scene, frame, x, smooth=0.0):
     return at
 
 
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_what_it_comes_to_is_the_least(covered, pressed, monkeypatch, seed):
     blur = covered((8, 8))
     frame, _ = pressed(blur, SIGMA, seed)

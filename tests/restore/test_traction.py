@@ -12,10 +12,9 @@ def traction():
     return shear.model(*SKIN)[1]
 
 
-@pytest.mark.parametrize("size", [(4, 4), (4, 6)])
-@pytest.mark.parametrize("thickness", [0.5, 1.0])
-def test_presses_with_friction_are_restored(size, thickness):
-    figures = shear.measure(*size, thickness, 8, seed=1)
+@pytest.mark.parametrize("skin", [(4, 4, 0.5), (4, 6, 1.0)])
+def test_presses_with_friction_are_restored(skin):
+    figures = shear.measure(*skin, 8, seed=1)
     raw, once, twice, known, _, pressure, less, _ = np.median(figures, axis=0)
     assert max(once, twice) < 0.55 * raw
     assert less < 0.95 * pressure

@@ -1,7 +1,6 @@
 """A cover that is no stack of the configured layers: a soft skin over a stiff, wide one."""
 
 import numpy as np
-import pytest
 
 from tactiled.calibrate.cover.result import fit_cover
 from tactiled.calibrate.cover.tip import Tip, tip_touch
@@ -38,8 +37,7 @@ def test_a_free_kernel_is_near_the_true_gain_where_no_thickness_explains_the_pre
     assert np.abs(layered.gain(rubber(fit.thickness_mm), q) - true)[band].max() > 0.15
 
 
-@pytest.mark.parametrize("seed", [5, 6])
-def test_the_stack_is_kept_where_it_is_right(seed):
-    fit = fitted(World(ARRAY, rubber(1.4)), seed)
+def test_the_stack_is_kept_where_it_is_right():
+    fit = fitted(World(ARRAY, rubber(1.4)), 5)
     assert fit.kernel is None
     assert fit.residual < 1.2

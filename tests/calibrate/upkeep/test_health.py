@@ -58,8 +58,7 @@ def test_healthy_arrays_have_no_false_alarm_in_forty_million_taxel_frames():
     assert sum(changes for _, changes in counts) == 0
 
 
-@pytest.mark.parametrize("thickness", [0.5, 1.0])
-@pytest.mark.parametrize("calibrated", [False, True])
+@pytest.mark.parametrize(("thickness", "calibrated"), [(0.5, True), (1.0, False)])
 def test_the_same_object_with_gaps_at_the_same_place_again_is_no_fault(thickness, calibrated):
     for scenario in grasps((thickness,), seconds=40.0, side=16):
         name, _, changes = false_alarms(scenario, 7, calibrated, side=16)
