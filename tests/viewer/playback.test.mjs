@@ -84,8 +84,12 @@ test("of a series force and peak of each area can be drawn, once they are measur
   const total = { name: "total", force: [1, null], peak: [10, 20] };
   const heel = { name: "heel", force: [0.5, 0.7], peak: [9, 8] };
   const series = { unit: "counts", position_s: [0, 0.1], total: null, regions: [] };
-  assert.deepEqual([areasOf(series), curvesOf(series)], [[], []]);
-  const curves = curvesOf({ ...series, total, regions: [heel] });
+  assert.deepEqual([areasOf(series), curvesOf(series, {})], [[], []]);
+  const curves = curvesOf({ ...series, total, regions: [heel] }, { heel: { quantity: "peak", above: 8.5, below: 8 }, toe: null });
+  assert.deepEqual(curves.map(({ above }) => above), [[], [], [0], [0]]);
+  const repeated = { name: "heel", force: [0, 2, 1, null, 0.4, 0.5, 1.1, 3], peak: [] };
+  const [, , , { above }] = curvesOf({ ...series, total, regions: [repeated] }, { heel: { quantity: "force", above: 1, below: 0.5 } });
+  assert.deepEqual(above, [1, 6]); // 0.5 is not below 0.5, 0.4 is
   assert.deepEqual(curves.map(({ title, unit, y }) => [title, unit, y]), [
     ["total, force", "counts·mm²", [1, null]], ["total, peak", "counts", [10, 20]],
     ["heel, force", "counts·mm²", [0.5, 0.7]], ["heel, peak", "counts", [9, 8]],

@@ -236,6 +236,14 @@ def test_a_region_is_drawn_on_a_recording_and_its_highest_force_is_read_seen_and
     assert row.locator("td").all_inner_texts()[:2] == [f"{highest['value']:.2f}", "0:00.6"]
     row.get_by_role("button", name="0:00.6").first.click()
     page.wait(f"{FRAME} === '30' && document.getElementById('force-span').innerText === 'restored'")
+    label = "document.getElementById('forces').ariaLabel"
+    assert page.evaluate(label) == "heel, force over the whole recording"
+    at = f"{url}/api/v1/sensors/palm/regions"
+    (shape,) = ({key: each[key] for key in ("shape", "points_mm")} for each in ask("GET", at).json()["regions"])
+    limit = {"quantity": "force", "above": 0.99 * highest["value"], "below": 0.5 * highest["value"]}
+    ask("PUT", f"{at}/heel", json=shape | {"threshold": limit})
+    page.wait(f"{label} === 'heel, force over the whole recording, above the threshold from 0:00.6'")
+    assert page.locator("#force-above").is_visible()
     assert "# state: grasp.log at 0:00.6" in page.download("c").read_text().splitlines()
     page.evaluate(WATCH_TEXTS)
     page.locator("#series-of").select_option("total, peak")

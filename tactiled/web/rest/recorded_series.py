@@ -110,9 +110,11 @@ def answer(
 
 
 def _regions(sensor: Sensor, names: str | None) -> dict[str, Region]:
-    """The regions of these names; Problem 404 names one that is not there."""
+    """The regions of these names, whose thresholds do not matter; Problem 404 names one that is not there."""
     each = sensor.regions.regions
-    return each if names is None else {name: watched(sensor, name).region for name in names.split(",") if name}
+    if names is not None:
+        each = {name: watched(sensor, name).region for name in names.split(",") if name}
+    return {name: region.model_copy(update={"threshold": None}) for name, region in each.items()}
 
 
 def _json(run: RecordedSeries, recorded: RecordedFrames, running: bool, measured: int) -> Response:

@@ -108,6 +108,11 @@ export class Regions {
     return JSON.stringify(this._regions.map(({ name, shape, points_mm }) => [name, shape, points_mm]));
   }
 
+  /** @returns {Record<string, Region["threshold"]>} of the regions by name; null: none */
+  get thresholds() {
+    return Object.fromEntries(this._regions.map(({ name, threshold }) => [name, threshold]));
+  }
+
   /** Bring the values up to date with the frame that is shown. */
   read() {
     const { session, name, frame, held } = this._viewer;

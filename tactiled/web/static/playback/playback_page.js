@@ -21,6 +21,7 @@ import { FORCE_UNITS } from "../shell/units.js";
 
 const FIRST_MS = 200; // between two looks whether the first frames were read
 const READ_MS = 1000; // between two looks how far the file was read
+const MAX_TIMES = 20; // that a chart's description names
 const NO_FRAMES = "no frame of this sensor";
 
 /** @param {Session|PlaybackSession|null|undefined} session @returns {PlaybackSession|null} */
@@ -199,8 +200,10 @@ export class PlaybackPage {
     this._curve = curve;
     setText(byId("force-name"), curve ? "Whole recording" : "Total force");
     setText(byId("force-span"), curve ? "restored" : session ? "whole recording" : this._viewer.time.text);
-    byId("forces").setAttribute("aria-label", session ? `${curve ? curve.title : "Total raw force"} over the whole recording` : `Total force, raw and restored, ${this._viewer.time.text}`);
+    const above = curve?.above.length ? `, above the threshold from ${curve.above.slice(0, MAX_TIMES).map((i) => positionText(curve.x[i])).join(", ")}` : "";
+    byId("forces").setAttribute("aria-label", session ? `${curve ? curve.title : "Total raw force"} over the whole recording${above}` : `Total force, raw and restored, ${this._viewer.time.text}`);
     document.body.classList.toggle("curve", Boolean(curve));
+    byId("force-above").hidden = !above;
     setText(byId("loss-since"), session ? "since its beginning" : "since the service started");
     this._scrub.setAttribute("aria-label", session ? "Position in the recording" : "Kept frames, newest at the right");
     this._viewer.regions?.read();
@@ -208,7 +211,7 @@ export class PlaybackPage {
     const regions = this._viewer.regions?.shapes ?? "";
     if (regions !== this._regions) session.measureAgain();
     this._regions = regions;
-    this._series.read(regions);
+    this._series.read(regions, this._viewer.regions?.thresholds ?? {});
     const { recorded, position, paused } = session;
     setText(this._pause, paused ? "Play" : "Pause");
     this._pause.title = `${paused ? "Play" : "Pause"} (space)`;
@@ -232,7 +235,7 @@ class OverviewChart {
   constructor(chart, part) {
     this._chart = chart;
     this._part = part;
-    this._line = line(0, "raw");
+    this._lines = [line(0, "raw")];
     /** @type {Played|Curve|null} */
     this._of = null;
     this._axes = { left: 0, right: 1, bottom: 0, top: 1, x: "position, s", y: "" };
@@ -242,19 +245,24 @@ class OverviewChart {
   draw({ recorded, position }, unit, curve) {
     if (this._of !== (curve ?? recorded)) {
       this._of = curve ?? recorded;
-      const { x: at, y: values, unit: y } = curve ?? { x: recorded.positions_s, y: recorded.force, unit: FORCE_UNITS[unit] };
+      const { x: at, y: values, unit: axis } = curve ?? { x: recorded.positions_s, y: recorded.force, unit: FORCE_UNITS[unit] };
       const all = Float64Array.from(values, (each) => each ?? NaN);
       const known = all.filter(Number.isFinite);
-      this._line = { ...line(0, curve ? "restored" : "raw"), x: Float64Array.from(at), y: all, length: at.length };
+      const above = curve?.above ?? [];
+      const [x, y] = [at, all].map((each) => Float64Array.from(above, (i) => each[i]));
+      this._lines = [
+        { ...line(0, curve ? "restored" : "raw"), x: Float64Array.from(at), y: all, length: at.length },
+        { ...line(0, "raw", "points"), x, y, length: above.length },
+      ];
       const top = roundUp(Math.max(1e-3, ...known));
       const lowest = Math.min(0, ...known);
       const bottom = lowest < -0.05 * top ? -roundUp(-lowest) : -0.06 * top;
-      this._axes = { ...this._axes, top, bottom, y };
+      this._axes = { ...this._axes, top, bottom, y: axis };
     }
     this._part.limit(0, Math.max(recorded.duration_s, 1e-3));
     this._axes.left = this._part.left;
     this._axes.right = this._part.right;
-    this._chart.draw(this._axes, [this._line], position);
+    this._chart.draw(this._axes, this._lines, position);
   }
 }
 

@@ -7,23 +7,33 @@ import { messageOf } from "../shell/notice.js";
 import { methodTitle } from "../shell/readings.js";
 import { forceNumber, unitOf, unitOfQuantity } from "../shell/units.js";
 
-/** @import { AreaSeries, RecordedSeries } from "../wire/api.js" */
+/** @import { AreaSeries, RecordedSeries, Region } from "../wire/api.js" */
 /** @import { PlaybackSession } from "./playback_session.js" */
 
 const POLL_MS = 1000;
 const AGAIN = [0, 409, 429]; // statuses of a service that may measure later
 const QUANTITIES = /** @type {const} */ (["force", "peak"]);
 
-/** @typedef {{title: string, unit: string, x: number[], y: (number|null)[]}} Curve what the chart draws */
+/** @typedef {{title: string, unit: string, x: number[], y: (number|null)[], above: number[]}} Curve what the chart draws; where its threshold begins to be exceeded */
 
 /** @param {RecordedSeries} series @returns {AreaSeries[]} the whole array first; none before the end of measuring */
 export const areasOf = (series) => (series.total ? [series.total, ...series.regions] : []);
 
-/** @param {RecordedSeries} series @returns {Curve[]} force and peak of each area in turn */
-export function curvesOf(series) {
+/** @param {AreaSeries} area @param {Region["threshold"]|undefined} threshold @returns {number[]} indices at which its value comes to be above it, as the service's events do */
+function crossings(area, threshold) {
+  let exceeded = false;
+  return !threshold ? [] : area[threshold.quantity].flatMap((value, i) => {
+    const was = exceeded;
+    if (value !== null) exceeded = was ? value >= threshold.below : value > threshold.above;
+    return exceeded && !was ? [i] : [];
+  });
+}
+
+/** @param {RecordedSeries} series @param {Record<string, Region["threshold"]>} thresholds by region @returns {Curve[]} force and peak of each area in turn */
+export function curvesOf(series, thresholds) {
   const unit = unitOf(series.unit);
   return areasOf(series).flatMap((area) => QUANTITIES.map((quantity) =>
-    ({ title: `${area.name}, ${quantity}`, unit: unitOfQuantity(quantity, unit), x: series.position_s, y: area[quantity] })));
+    ({ title: `${area.name}, ${quantity}`, unit: unitOfQuantity(quantity, unit), x: series.position_s, y: area[quantity], above: crossings(area, thresholds[area.name]) })));
 }
 
 export class RecordedSeriesPanel {
@@ -34,6 +44,10 @@ export class RecordedSeriesPanel {
     this._session = null;
     /** @type {Curve[]} that the chart can show */
     this._curves = [];
+    /** @type {RecordedSeries|null} whose highest values are listed */
+    this._series = null;
+    /** @type {Record<string, Region["threshold"]>} of the regions by name */
+    this._thresholds = {};
     this._of = ""; // regions and method that are measured; "" for none
     this._now = ""; // those of the page
     this._turn = 0; // counts up with what is measured, so that answers of before are dropped
@@ -56,8 +70,15 @@ export class RecordedSeriesPanel {
     setText(byId("series-state"), "");
   }
 
-  /** Measure again where regions or method are others than those that are measured. @param {string} regions */
-  read(regions) {
+  /**
+   * Measure again where regions or method are others than those that are measured.
+   * @param {string} regions
+   * @param {Record<string, Region["threshold"]>} thresholds
+   */
+  read(regions, thresholds) {
+    const marked = JSON.stringify(thresholds) === JSON.stringify(this._thresholds);
+    this._thresholds = thresholds;
+    if (!marked) this._list(this._series);
     this._now = `${this._session?.method} ${regions}`;
     if (this._of && this._of !== this._now) this._measure();
   }
@@ -99,7 +120,8 @@ export class RecordedSeriesPanel {
   /** List the highest values. @param {RecordedSeries|null} series */
   _list(series) {
     const chosen = this._choice.value;
-    this._curves = series ? curvesOf(series) : [];
+    this._series = series;
+    this._curves = series ? curvesOf(series, this._thresholds) : [];
     const titles = this._curves.map((each) => each.title);
     this._choice.replaceChildren(new Option("total force, raw", ""), ...titles.map((each) => new Option(each, each)));
     this._choice.value = titles.includes(chosen) ? chosen : titles[2] ?? titles[0] ?? "";
