@@ -28,7 +28,7 @@ MAX_UNANSWERED = 2  # pings: at most PING_EVERY * MAX_UNANSWERED messages are on
 LATE_S = 0.1  # an answer after so long is late: the client is slow, or far away
 QUEUE = 16  # frames
 BEHIND_S = 0.2
-APART_S = 0.02  # from an image that fills the queue to the ping behind it
+APART_S = 0.05  # from an image that fills the queue to the ping behind it
 SHARE = 1 / 8  # of the newest period in the mean one
 CONTINUED, LAST = b"\x00\x00", b"\x80\x00"  # frames of a message, without data
 MARK = b"tactiled"  # of these pings
@@ -78,7 +78,7 @@ class PacedWebSocket(WebSocket):
         self._quick = self._quick and not (waiting and now > waiting[0] + LATE_S)
         parts = self._parts(len(frames), now) if frames and requested is False else 1
         frames = [in_parts(each, parts) for each in frames]
-        fills = parts > QUEUE
+        fills = parts * len(frames) > QUEUE
         strict = requested is False and (fills or not self._quick)
         self.transport.writelines(frames)
         if strict or parts > 1 or self._unpinged >= PING_EVERY:

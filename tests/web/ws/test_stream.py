@@ -203,17 +203,25 @@ def test_a_slow_client_gets_the_newest_frame_once_it_has_read_the_one_before(rig
             assert unpack(data).sequence == rig.sequence
 
 
-def test_a_library_that_reads_ahead_and_answers_pings_has_no_more_than_an_image_or_two(rig, url):
-    behind, began = [], time.time()
-    with stream(url, "?kinds=raw") as client:
-        for _ in range(9):
-            for force in range(5):
-                rig.show(pressed(force))
-            image = images(client, 1)[0]
-            behind.append(rig.sequence - image.sequence)
-            assert began <= image.timestamp <= image.made_at <= time.time()
-            np.testing.assert_allclose(image.values, (pressed(image.sequence % 5) - NO_LOAD) * GAIN, atol=1e-4)
-    assert max(behind) < 20
+@pytest.mark.parametrize("kinds", [1, 2])
+def test_a_library_that_reads_ahead_and_answers_pings_has_the_images_of_one_frame(rig, url, kinds, monkeypatch):
+    monkeypatch.setattr(pacing, "SHARE", 0.0)  # the period stays 1 s
+    monkeypatch.setattr(pacing, "BEHIND_S", kinds * 0.9)  # 17 WebSocket frames an image, or 9
+    monkeypatch.setattr(pacing, "APART_S", 0.3)
+    began = time.time()
+    sent, send = [], pacing.PacedWebSocket.send_frames
+    monkeypatch.setattr(
+        pacing.PacedWebSocket, "send_frames", lambda *args, **named: (send(*args, **named), sent.append(named))
+    )
+    with stream(url, "?kinds=raw" if kinds == 1 else "") as client:
+        for at in range(5):
+            rig.show(pressed(at))
+            until(lambda: {"requested": False} in sent)
+        for at in (0, 4):
+            got = images(client, kinds)
+            assert began <= got[0].timestamp <= got[0].made_at <= time.time()
+            assert [each.sequence for each in got] == kinds * [at]
+            np.testing.assert_allclose(got[0].values, (pressed(at) - NO_LOAD) * GAIN, atol=1e-4)
 
 
 def unread(url):
