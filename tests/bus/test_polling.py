@@ -1,7 +1,5 @@
 """Skins that must be asked or started: what is sent to them, and when."""
 
-import time
-
 import pytest
 
 from tactiled.bus.codecs.barrett import Barrett
@@ -15,6 +13,7 @@ from tactiled.errors import BusError
 from tactiled.frames import Message
 from tactiled.live.service import Service
 from tests.conftest import until
+from tests.live.test_bus_thread import OPEN_BUS, Bus
 
 FIRST, SECOND = (Poll(Message(0.0, 0x27, bytes((each, 0xC6))), 0.1, range(1)) for each in (0xB1, 0xB2))
 SET, GO, STOP = (Message(0.0, 0x20D, bytes((each,))) for each in (1, 2, 3))
@@ -161,45 +160,25 @@ kernel = { model = "layered" }
 
 
 def test_skins_are_started_and_asked_again_when_the_bus_is_back_and_unsent_messages_are_counted(monkeypatch):
-    wire, present, opened = Wire(), [True], []
-
-    class Bus:
-        off, clock, send, close = None, "python-can fake", staticmethod(wire.send), staticmethod(lambda: None)
-
-        def __init__(self):
-            self.unsent, self.kinds = 0, {}
-
-        def counts(self):
-            return {"unsent": self.unsent}
-
-        def batch(self, timeout, _):
-            time.sleep(min(timeout, 0.01))
-            if not present[0]:
-                raise BusError("gone")
-            return []
-
-    def reopen(**_):
-        if not present[0]:
-            raise BusError("gone")
-        opened.append(Bus())
-        return opened[-1]
+    wire, bus = Wire(), Bus()
+    bus.send = wire.send
 
     def payloads_on(id_):
         return [each.data.hex() for each in list(wire.messages) if each.id == id_]
 
-    monkeypatch.setattr("tactiled.live.bus_thread.open_bus", reopen)
+    monkeypatch.setattr(OPEN_BUS, bus.open)
     service = Service(parse(CONFIG))
     hand = service.sensor("hand")
     with service.running():
         until(lambda: payloads_on(0x20D) == STARTS and len(payloads_on(0x28)) >= 4)
         wire.takes = False
         until(lambda: hand.status().loss.unsent >= 2)
-        present[0] = False
+        bus.plugged = False
         until(lambda: hand.status().state == "down")
         unsent = hand.status().loss.unsent
         wire.messages.clear()
-        wire.takes = present[0] = True
+        wire.takes = bus.plugged = True
         until(lambda: payloads_on(0x20D) == STARTS and len(payloads_on(0x28)) >= 4)
-        assert len(opened) == 2
+        assert bus.opened == 2
         assert hand.status().loss.unsent == unsent
     assert payloads_on(0x20D) == STARTS + STOPS

@@ -44,16 +44,15 @@ def test_a_hint_and_a_file_as_it_is_written_end_a_check_well(palm):
     assert output.endswith("palm.toml is valid: 1 sensor, 1 bus\n")
 
 
-@pytest.mark.parametrize(("no_load", "exit_code"), [(60, 0), (1000, 1)])
-def test_a_bus_is_listened_to(palm, playing, no_load, exit_code):
+def test_a_bus_is_listened_to(palm, playing):
     playing({"interface": "virtual", "channel": CHANNEL}, Packed(64, 12, fd=True))
-    done = run("check", palm("no_load = 80", f"no_load = {no_load}"), "--bus", "--seconds", 1)
-    assert done.exit_code == exit_code, done.output
+    done = run("check", palm("no_load = 80", "no_load = 1000"), "--bus", "--seconds", 1)
+    assert done.exit_code == 1, done.output
     assert re.search(
         r"bus can0: \d+ messages in 1 s\n  palm: \d+\.\d frames a second, 0 messages lost", done.stdout
     )
     assert "  unknown id 0x6a1: " in done.stdout
-    assert ("no_load = 1000: half of the array is at 60" in done.stdout) == (exit_code == 1)
+    assert "no_load = 1000: half of the array is at 60" in done.stdout
 
 
 def test_a_silent_bus_is_doubtful_and_one_that_cannot_be_opened_an_error(palm):

@@ -47,20 +47,20 @@ def python(program, *arguments, **environment):
     return done.stdout
 
 
-def imported(*arguments):
-    """Names of all modules that a verb has imported when it ends well."""
-    register = "import atexit, sys; atexit.register(lambda: print(*sys.modules))"
-    return python(f"{register}; from tactiled.cli import main; main()", *arguments).splitlines()[-1].split()
+def imported(*lines):
+    """Names of all modules that these lines import, one after the other; each ends well."""
+    return python(EACH_IN_TURN, *lines).splitlines()[-1].split()
 
 
 def of(names, *packages):
     return [name for name in names if any(f"{name}.".startswith(f"{each}.") for each in packages)]
 
 
-@pytest.mark.parametrize("arguments", [["--help"], ["--version"], ["bench", "--help"]])
-def test_help_and_version_import_no_verb(arguments):
+def test_help_and_version_import_no_verb():
     files = [file for table in TABLES for _, file, _ in table]
-    assert not of(imported(*arguments), *HEAVY, *files, "numpy", "can", "tactiled.config")
+    assert not of(
+        imported("--help", "--version", "bench --help"), *HEAVY, *files, "numpy", "can", "tactiled.config"
+    )
 
 
 def test_the_version_is_printed():
@@ -71,7 +71,7 @@ def test_verbs_without_a_server_import_none(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "palm.toml").write_text(EXAMPLE)
     lines = "init new.toml", "check palm.toml", f"sniff {SILENT_BUS}", f"record out.log {SILENT_BUS}"
-    names = python(EACH_IN_TURN, *lines).splitlines()[-1].split()
+    names = imported(*lines)
     assert {f"tactiled.cli.{line.split()[0]}" for line in lines} <= {*names}
     assert not of(names, *HEAVY)
 

@@ -26,12 +26,13 @@ class Bus:
         self.clock = "python-can adapter"
 
     def counts(self):
-        return self.counted
+        return self.counted | {"unsent": self.unsent}
 
     def open(self, **_):
         if not self.plugged:
             raise BusError("bus adapter: no such device")
         self.opened += 1
+        self.unsent = 0  # every reader counts anew
         return self
 
     def batch(self, timeout, needed=1):
