@@ -24,7 +24,7 @@ from tactiled.web.rest import frames
 from tactiled.web.server import running
 from tests.client.test_stream import GUIDE, answering
 from tests.conftest import pressed, run_apart, until
-from tests.skin import PALM, X, Y, rigged
+from tests.skin import PALM, rigged
 
 LIMIT = {"quantity": "force", "above": 5.0, "below": 4.0}
 HEEL = {"shape": "rectangle", "points_mm": [[1.5, 1.5], [5.5, 5.5]], "threshold": LIMIT}
@@ -86,16 +86,6 @@ def test_a_window_is_cut_where_a_page_is_and_has_one_unit(images, url):  # noqa:
     assert parse_window("palm", "raw", [(content, kpa), (content, kpa | {"X-Tactiled-Cut": "true"})]).cut
     with pytest.raises(ValueError, match="read them again"):
         parse_window("palm", "raw", [(content, kpa), (content, counts)])
-
-
-def test_shear_of_a_skin(request):
-    with rigged(request.node.name) as rig, running(rig.service) as url:
-        frame = rig.show(X, Y)
-        np.testing.assert_array_equal(connect(url).snapshot("skin", shear=True).shear, frame.shear)
-        window = connect(url).window("skin", 1.0, "shear")
-        np.testing.assert_array_equal(window.values, [frame.shear])
-        assert window.unit == "counts"
-        assert "peak 1388 counts" in window._repr_html_()
 
 
 def test_a_restored_image_has_one_value_a_taxel_on_request(request):

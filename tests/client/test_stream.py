@@ -202,6 +202,10 @@ def test_shear_comes_with_the_images_of_the_sensors_named(request, capsys):
             np.testing.assert_array_equal(image.restored, frame.restored)
             np.testing.assert_array_equal(image.raw, frame.raw)
         assert image.shear[:, 0, :2].tolist() == [[100.0, -200.0], [1.0, 2.0]]
+        np.testing.assert_array_equal(client.snapshot("skin", shear=True).shear, frame.shear)
+        window = client.window("skin", 60.0, "shear")
+        np.testing.assert_array_equal(window.values, [frame.shear])
+        assert "peak 1388 counts" in window._repr_html_()
         assert next(client.stream("skin", patience_s=BUSY_S)).shear is None
         with pytest.raises(TactileError, match=NO_SHEAR):
             next(client.stream(["palm", "skin"], patience_s=BUSY_S, shear=True))

@@ -1,6 +1,5 @@
 """Calibrations over REST: guided ones; files, their history, and the tare's undo."""
 
-import time
 from unittest.mock import Mock
 
 import numpy as np
@@ -15,7 +14,7 @@ from tactiled.web.server import running
 from tests.calibrate.counts.skins import contact
 from tests.calibrate.files import CREATED, calibration_file
 from tests.calibrating import TIP_MM, TRUE_FACTOR, CalibratedSkin
-from tests.conftest import CONFIG, GAIN, ask, pressed, problem, until
+from tests.conftest import CONFIG, GAIN, ask, problem, until
 
 SESSION = "/sensors/palm/calibration/session"
 CONFIGURED_MM = 0.8
@@ -272,19 +271,3 @@ def test_what_cannot_be_applied_is_refused_in_a_line_without_a_path(palm, tmp_pa
     assert "nothing was written" in refused
     assert str(tmp_path) not in refused
     assert ask("GET", palm).json()["id"] == "configured"
-
-
-def test_a_tare_is_undone(rig, client):
-    rig.stale_after(600)
-    rig.show(pressed())
-    assert problem(client.delete("/sensors/palm/tare"), 409) == "sensor 'palm': no tare to undo"
-    client.post("/sensors/palm/tare?force=true")
-    rig.show_until_tared(pressed())
-    tared = client.get("/sensors/palm/calibration").json()
-    assert tared["can_undo"]
-    assert (
-        tared["tared_at"] == client.get("/sensors/palm").json()["tared_at"] == pytest.approx(time.time(), abs=600)
-    )
-    undone = client.delete("/sensors/palm/tare").json()
-    assert (undone["can_undo"], undone["tared_at"], undone["no_load"]) == (False, None, [100.0] * 64)
-    assert rig.show(pressed()).raw.max() == 200

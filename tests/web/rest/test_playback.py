@@ -316,15 +316,6 @@ def test_a_series_has_what_an_export_has_for_every_frame_its_highest_values_and_
     np.testing.assert_allclose(forces, np.array(series["regions"][0]["force"], float), rtol=1e-5)
 
 
-def test_of_a_long_recording_each_piece_has_its_highest_value(client, monkeypatch):
-    every = measured(client, regions="toe")["regions"][0]
-    monkeypatch.setattr(recorded_series, "MAX_POINTS", 7)
-    pieces = measured(client, regions="toe", method="nnls")
-    assert len(pieces["position_s"]) == len(pieces["total"]["force"]) == 7
-    assert max(pieces["regions"][0]["force"]) == pieces["regions"][0]["highest"]["force"]["value"]
-    assert len(every["force"]) == FRAMES
-
-
 def test_what_cannot_be_measured_is_refused_in_a_line_and_one_series_is_measured_at_a_time(client, monkeypatch):
     get = lambda **query: client.get("/a.log/series", params=PALM | query)  # noqa: E731
     measured(client)

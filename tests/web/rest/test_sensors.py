@@ -1,5 +1,6 @@
 import re
 import shutil
+import time
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -89,7 +90,13 @@ def test_a_tare_is_refused_under_a_load_unless_it_is_forced(live, client):
     assert client.post(f"{TARE}?force=true").json() == {"frames": 16, "seconds": 0.5}
     assert np.abs(live.show_until_tared(pressed()).raw).max() == 0
     after = client.get("/sensors/palm/calibration").json()
-    assert (after["no_load"], after["tared"]) == (pressed().ravel().tolist(), 1)
+    assert (after["no_load"], after["tared"], after["can_undo"]) == (pressed().ravel().tolist(), 1, True)
+    assert after["tared_at"] == client.get("/sensors/palm").json()["tared_at"]
+    assert after["tared_at"] == pytest.approx(time.time(), abs=600)
+    undone = client.delete(TARE).json()
+    assert [undone[key] for key in ("can_undo", "tared_at", "no_load")] == [False, None, before["no_load"]]
+    assert live.show(pressed()).raw.max() == 200
+    assert problem(client.delete(TARE), 409) == "sensor 'palm': no tare to undo"
     until(lambda: any(each.kind == "tare_done" for each in live.service.events.after(0)))
     texts = {each.kind: each.text for each in live.service.events.after(0)}
     assert texts["tare_asked"] == "the next frames are taken as no load (forced)"
