@@ -35,7 +35,7 @@ HEADINGS = ("row", "rms / worst error, %", "intervals that hold", "half of the i
 class Row:
     """One mistake; what is not named is as it is believed to be."""
 
-    way: str = "tip"  # tip, ball, edge or ridge
+    way: str = "tip"  # tip, edge or ridge
     pressed: Callable | None = None  # (stack, size, random) -> transform of what presses
     aperture: float = TRUE_APERTURE
     believed_aperture: float = TRUE_APERTURE
@@ -51,24 +51,12 @@ def even(_, size, __):
     return lambda q: 2 * j1(np.pi * q * size) / np.maximum(np.pi * q * size, 1e-9)
 
 
-def ball(_, size, __):
-    def transform(q):
-        x = np.maximum(np.pi * q * size, 1e-2)
-        return 3 * (np.sin(x) - x * np.cos(x)) / x**3
-
-    return transform
-
-
 def cone(_, size, __):
     r = (np.arange(400) + 0.5) / 400
     weight = np.arccosh(1 / r) * r
     x = np.linspace(0, np.pi * 1.5 * MAX_WAVE * size, 4000)
     table = (weight * j0(np.outer(x, r))).sum(axis=1) / weight.sum()
     return lambda q: np.interp(np.pi * q * size, x, table)
-
-
-def rim(_, size, __):
-    return lambda q: np.sinc(q * size)  # of 1 / sqrt(1 - (r/a)^2), a rigid punch on a half-space
 
 
 def soft(_, __, random):
@@ -100,11 +88,9 @@ ROWS = {
     "tip, rigid, of unknown diameter": Row(
         pressed=lambda stack, size, _: rigid.tip_transform(stack, size / 2), is_measured=False
     ),
-    "tip, pressed at its rim as on a half-space": Row(pressed=rim),
     "tip, worn to a cone": Row(pressed=cone),
     "tip, Poisson's ratio 0.4 for 0.48": Row(poisson=0.4, believed_poisson=0.48),
     "tip, curves bend by 5 %": Row(bend=0.05),
-    "ball of unknown contact": Row("ball", ball),
     "edge": Row("edge"),
     "edge, aperture 0.6 for 0.8 pitch": Row("edge", aperture=0.6),
     "edge, soft": Row("edge", soft),
@@ -127,7 +113,7 @@ class Pressed:
     transform: Callable
 
     def readings(self, array, cover):
-        if self.way in ("tip", "ball"):
+        if self.way == "tip":
             return self._round(array, cover)
         offset, angle = self.place
         normal = np.array([np.cos(angle), np.sin(angle)])
@@ -153,7 +139,7 @@ class Pressed:
 
 def places(way, random):
     """Where it presses, away from the border; or offset and angle of each line."""
-    if way in ("tip", "ball"):
+    if way == "tip":
         half = (bench.SIDE - 1) / 2 - 2.5
         return random.uniform(-half, half, (bench.PRESSES, 2))
     slants = np.radians(random.uniform(5, 40, bench.EDGES)) * random.choice([-1, 1], bench.EDGES)
@@ -199,8 +185,8 @@ def trial(row, seed, number):
     presses = find_presses(gains.in_kpa(series), array, bench.NOISE_KPA, border=row.way in ("edge", "ridge"))
     gain_error, factor = gains.for_touch[2], row.size_factor ** random.choice([-1, 1])
     measured = float(random.normal(size * factor, row.size_error_mm))
-    if row.way in ("tip", "ball"):
-        tip = Tip(measured) if row.way == "tip" and row.is_measured else Tip(sphere=row.way == "ball")
+    if row.way == "tip":
+        tip = Tip(measured) if row.is_measured else Tip()
         return fit_cover(
             tip_touch(presses, array, truth.configured, tip, gain_error), presses, "tip"
         ), truth.factor

@@ -8,7 +8,6 @@ import typer
 from websockets.asyncio.client import connect
 
 from tactiled.wire import unpack
-from tests.attack.bystander import queued_s
 from tests.bench import loopback
 
 RATE_HZ = 100.0
@@ -38,12 +37,8 @@ def restart(
         for _ in range(times + 1):  # the first fills the cache
             began = time.monotonic()
             service = loopback.run(config)
-            listening = time.monotonic()
-            first, last = asyncio.run(first_images(service.url, sensors))
-            queued = queued_s(service.process.pid).get(str(service.process.pid), 0.0)
+            waits.append([at - began for at in asyncio.run(first_images(service.url, sensors))])
             service.kill()
-            waits.append([*(at - began for at in (listening, first, last)), last - began - queued])
     typer.echo(f"{loopback.heading(sensors, rate_hz)}, s after the start:")
-    titles = "it listens", "first image", "an image of every sensor", "the same, less its wait for a busy core"
-    for number, title in enumerate(titles):
+    for number, title in enumerate(("first image", "an image of every sensor")):
         typer.echo(f"  {title}: {', '.join(f'{each[number]:.2f}' for each in waits[1:])}")

@@ -143,7 +143,8 @@ def test_no_frame_matters_to_the_next_and_frames_of_the_caller_are_not_touched(m
     frames = [(press.frame / press.sigma).astype(np.float32) for press in cases]
     frames += [(share * frames[1]).astype(np.float32) for share in (0.01, 0.1, 0.3, 0.35)]
     frames += [np.zeros_like(frames[0]), frames[0] + frames[2], frames[0] - 30]
-    frames += [np.where(frames[2] > 50, np.float32(each), frames[2]) for each in (np.nan, np.inf, 1e9, 1e30, 3e38)]
+    for damage, frame in zip((np.nan, np.inf, 1e9, 1e30, 3e38), frames[:5], strict=True):
+        frames.append(np.where(frame > 50, np.float32(damage), frame))
     before, images = [frame.copy() for frame in frames], {}
     order = np.random.default_rng(0).permutation(len(frames))
     for turn in (order, order[::-1], order[5:6], order[9:10]):  # the last two are alone
