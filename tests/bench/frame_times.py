@@ -1,4 +1,4 @@
-"""Times of single frames: cold, after a jump, and while a scene moves, against scikit-image's Wiener filter."""
+"""Times of single frames: cold, after a jump, and while a scene moves."""
 
 from collections import defaultdict
 from functools import partial
@@ -9,7 +9,6 @@ from time import thread_time
 import numpy as np
 from rich.progress import track
 
-from tactiled.bench.peers import skimage_wiener
 from tactiled.bench.results import machine
 from tactiled.bench.scenes import PEAK_KPA
 from tactiled.bench.skin import rubber, sense
@@ -23,10 +22,10 @@ PASSES = 3  # through the same frames, of whose times the least counts: others e
 CLIP_FRAMES, MAX_RUN = 12, 8  # frames of a clip, and at most of it before the next jump
 ROUNDS = 28  # of a pass through every setting: each makes restorers anew, which takes longer than many frames
 SLOWEST, AGAIN = 20, 20  # so many of a pass' slowest frames are timed so often again: others may have slowed them
-COLD, WIENERS = 2, 3  # frames of a pass on a fresh, prepared restorer, and those of scikit-image
+COLD = 2  # frames of a pass on a fresh, prepared restorer
 IDLE = 0.05  # of the runs: nothing touches
 SPOTS = ("bumps", "caps")  # of which fits of points may fail
-HEADINGS = ("", "frames", "median", "p99", "p99.9", "worst", "worst / wiener")
+HEADINGS = ("", "frames", "median", "p99", "p99.9", "worst")
 
 
 def clean_clips(size, thickness, seed):
@@ -67,16 +66,13 @@ def prepared(method, skin, noise, budget_s):
     return lambda frame: restorer(frame, None, Deadline(budget_s))
 
 
-def shortest_times(restorers, fresh, wiener, frames):
-    """Label and least microseconds of every frame: of those with labels, of cold ones and of scikit-image's."""
-    sequence = [frame for _, frame in frames]
-    tasks = (
-        [("cold", each) for each in sequence[:COLD]] + [("wiener", each) for each in sequence[:WIENERS]] + frames
-    )
+def shortest_times(restorers, fresh, frames):
+    """Label and least microseconds of every frame: of those with labels, and of cold ones."""
+    tasks = [("cold", frame) for _, frame in frames[:COLD]] + frames
 
     def once(at, restorer):
         label, frame = tasks[at]
-        return timed({"cold": fresh, "wiener": lambda: wiener}.get(label, lambda: restorer)(), frame)
+        return timed(fresh() if label == "cold" else restorer, frame)
 
     shortest = np.min([[once(at, each) for at in range(len(tasks))] for each in restorers], axis=0)
     for at in np.argsort(shortest)[-SLOWEST:]:
@@ -87,7 +83,7 @@ def shortest_times(restorers, fresh, wiener, frames):
 
 
 def measure(size, frames, seed, method="auto", budget_s=inf):
-    """Microseconds (frames,) by label, the least of PASSES each or more; "wiener" is scikit-image's."""
+    """Microseconds (frames,) by label, the least of PASSES each or more."""
     random, times, settings = np.random.default_rng(seed), defaultdict(list), []
     for thickness in THICKNESSES:
         skin, clips = rubber(thickness, size), list(clean_clips(size, thickness, seed))
@@ -99,9 +95,8 @@ def measure(size, frames, seed, method="auto", budget_s=inf):
         list(product(range(ROUNDS), settings)), f"{size}", transient=True
     ):
         labels, sequence = chunk(clips, count, noise, random)
-        wiener = partial(skimage_wiener, skin.psf.astype(np.float32), noise)
         fresh = partial(prepared, method, skin, noise, budget_s)
-        for label, took in shortest_times(restorers, fresh, wiener, list(zip(labels, sequence, strict=True))):
+        for label, took in shortest_times(restorers, fresh, list(zip(labels, sequence, strict=True))):
             times[label].append(took)
     return {label: np.array(took) for label, took in times.items()}
 
@@ -109,14 +104,12 @@ def measure(size, frames, seed, method="auto", budget_s=inf):
 def frame_times(
     frames: int = 20_000, sizes: str = "16,32,64", method: str = "auto", seed: int = 1, budget_ms: float = inf
 ) -> None:
-    """Time very many single frames of mixed scenes; the worst against the median of scikit-image's wiener."""
+    """Time very many single frames of mixed scenes."""
     for size in map(int, sizes.split(",")):
         times = measure(size, frames, seed, method, 1e-3 * budget_ms)
-        wiener = times.pop("wiener")
         rows = []
-        for label, took in {**times, "all": np.concatenate(list(times.values())), "wiener": wiener}.items():
+        for label, took in {**times, "all": np.concatenate(list(times.values()))}.items():
             figures = np.percentile(took, (50, 99, 99.9, 100))
-            ratio = figures[-1] / np.median(wiener)
-            rows.append((label, str(len(took)), *(f"{each:.0f}" for each in figures), f"{ratio:.1f}"))
+            rows.append((label, str(len(took)), *(f"{each:.0f}" for each in figures)))
         print_table(f"{method} at {size} x {size}: µs a frame, the least of {PASSES} passes", HEADINGS, rows)
     print(machine())

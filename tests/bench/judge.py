@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Iterable
 from functools import partial
-from importlib import import_module
 from pathlib import Path
 from statistics import fmean
 from typing import Annotated, Literal, NamedTuple
@@ -13,7 +12,7 @@ from rich.progress import track
 
 from tactiled.bench.skin import nrmse
 from tactiled.cli.bench import print_table
-from tactiled.restore.methods import METHODS, make
+from tactiled.restore.methods import make
 from tests.bench.presses import FAMILIES, Press, presses
 from tests.bench.tuned_peers import PEERS, peer_errors
 
@@ -35,10 +34,7 @@ class Result(NamedTuple):
 
 
 def own(name: str) -> Method:
-    """A method of METHODS, by a fresh restorer; or module:function, which maps a Press to its image."""
-    if ":" in name:
-        module, _, function = name.partition(":")
-        return getattr(import_module(module), function)
+    """A method of METHODS, by a fresh restorer."""
     return lambda press: make(name, press.blur, press.sigma)(press.frame).image
 
 
@@ -123,7 +119,7 @@ def judge(
     size: Annotated[int, typer.Option(help="Taxels along each side.")] = 32,
     repeats: Annotated[int, typer.Option(help="Presses of each scene, t/pitch and noise.")] = 2,
     seed: Annotated[int, typer.Option(help="Random seed.")] = 1,
-    methods: Annotated[str, typer.Option(help="Of ours, by commas: auto,nnls,...; or module:function.")] = "auto",
+    methods: Annotated[str, typer.Option(help="Of ours, by commas: auto,nnls,...")] = "auto",
     scenes: Annotated[str, typer.Option(help="Only these kinds, by commas.")] = "",
     cache: Annotated[Path | None, typer.Option(help="Folder that keeps the errors of tuned peers.")] = None,
 ) -> None:  # fmt: skip
@@ -133,7 +129,7 @@ def judge(
 
     Ratio: error of the first method over the least of the four, each the mean of its cell (scene, t/pitch, noise).
 
-    module:function gives the image (kPa) of a tests.bench.presses.Press. From Python: score(), verdict(), show().
+    From Python: score() takes any function that gives the image (kPa) of a tests.bench.presses.Press.
     """
     kinds = tuple(filter(None, scenes.split(","))) or FAMILIES[family]
     cases = presses(size, THICKNESSES, NOISES, repeats, seed, kinds)
@@ -141,7 +137,7 @@ def judge(
     named = {name: own(name) for name in methods.split(",")}
     scored = partial(score, track(cases, "Presses", total=total, transient=True), named, cache)
     show(scored(), named)
-    if (first := next(iter(named))) in METHODS:
-        shares = within(presses(size, THICKNESSES, NOISES, repeats, seed, kinds), first)
-        by_kind = ", ".join(f"{scene} {share:.0%}" for scene, share in shares.items())
-        print(f"Pressed cells within two deviations of {first}: {fmean(shares.values()):.0%}: {by_kind}")
+    first = next(iter(named))
+    shares = within(presses(size, THICKNESSES, NOISES, repeats, seed, kinds), first)
+    by_kind = ", ".join(f"{scene} {share:.0%}" for scene, share in shares.items())
+    print(f"Pressed cells within two deviations of {first}: {fmean(shares.values()):.0%}: {by_kind}")

@@ -1,4 +1,4 @@
-"""A service that runs for long while clients come and go: whether memory, threads, descriptors or delays grow."""
+"""A service that runs for long while clients come and go: whether memory, threads or descriptors grow."""
 
 import asyncio
 import json
@@ -16,12 +16,10 @@ from websockets.exceptions import WebSocketException
 
 from tactiled.bench.results import host_meter
 from tactiled.cli.bench import print_table
-from tactiled.wire import unpack
 from tests.bench import loopback
 from tests.bench.sensors import SENSOR
 
 WARM_UP_PART, MAX_WARM_UP_S = 0.25, 900.0  # of the time: caches, pools, windows of the health monitors fill
-WATCH_HZ = 5.0  # images of each sensor to the client that stays, whose ages are judged
 RELOAD_S = 30.0  # between two reloads, which add a sensor or remove it
 RELOAD = "/api/v1/config/reload"
 VISITS_AT_ONCE = 4
@@ -35,15 +33,6 @@ class Sample(NamedTuple):
     memory_mb: float  # anonymous, resident
     threads: int
     descriptors: int
-
-
-async def watch(url, ages):
-    """Stay, and note when each image came and how old it was (s)."""
-    async with connect(f"{url}/api/v1/stream?kinds=restored&rate_hz={WATCH_HZ}", compression=None) as client:
-        async for data in client:
-            if isinstance(data, bytes):
-                now = time.time()
-                ages.append((now, now - unpack(data).timestamp))
 
 
 async def visit(url, client, rng, outcomes):
@@ -115,13 +104,9 @@ async def look(service, samples, seconds):
 
 
 async def run(service, config, seconds):
-    """Run clients for so long; gives samples, ages and what came of the visits."""
-    samples, ages, outcomes, base = [], [], [], config.read_text()
-    jobs = (
-        watch(service.url.replace("http", "ws", 1), ages),
-        visitors(service.url, outcomes),
-        reloads(service.url, config, base, outcomes),
-    )
+    """Run clients for so long; gives samples and what came of the visits."""
+    samples, outcomes, base = [], [], config.read_text()
+    jobs = visitors(service.url, outcomes), reloads(service.url, config, base, outcomes)
     tasks = [asyncio.create_task(each) for each in jobs]
     await look(service, samples, seconds)
     for task in tasks:
@@ -133,7 +118,7 @@ async def run(service, config, seconds):
     httpx.post(service.url + RELOAD, timeout=None).raise_for_status()
     await asyncio.sleep(5)  # the service notices who has left
     await look(service, samples, 3)
-    return samples, ages, outcomes
+    return samples, outcomes
 
 
 def slope(samples):
@@ -144,7 +129,7 @@ def slope(samples):
     return float(gain), float(np.sqrt(covariance[0, 0]))
 
 
-def report(samples, ages, outcomes, warm_up_s):
+def report(samples, outcomes, warm_up_s):
     """Print what grew after the warm-up, and what did not."""
     warm = samples[0].time + warm_up_s
     steady = [each for each in samples if each.time >= warm]
@@ -156,11 +141,9 @@ def report(samples, ages, outcomes, warm_up_s):
     rows = []
     for title, begin in (("after warm-up", warm), ("at the end", steady[-1].time - part)):
         own = [each for each in steady if begin <= each.time <= begin + part]
-        aged = np.array([age for at, age in ages if begin <= at <= begin + part]) * 1e3
-        p50, p99 = np.percentile(aged, [50, 99])
         lowest = [min(values) for values in list(zip(*own, strict=True))[1:]]
-        rows.append((title, *(f"{value:.1f}" for value in (*lowest, p50, p99))))
-    print_table("soak", ("", "least memory, MB", "least threads", "least descriptors", "p50, ms", "p99, ms"), rows)
+        rows.append((title, *(f"{value:.1f}" for value in lowest)))
+    print_table("soak", ("", "least memory, MB", "least threads", "least descriptors"), rows)
     last = samples[-1]
     typer.echo(f"without clients: {last.memory_mb:.1f} MB, {last.threads} threads, {last.descriptors} descriptors")
     kinds = {kind: outcomes.count(kind) for kind in sorted(set(outcomes))}
@@ -178,10 +161,10 @@ def soak(
         service = loopback.run(config)
         threading.Thread(target=service.process.stdout.read, daemon=True).start()  # a full pipe would stop its log
         try:
-            samples, ages, outcomes = asyncio.run(run(service, config, hours * 3600))
+            samples, outcomes = asyncio.run(run(service, config, hours * 3600))
         finally:
             with suppress(ProcessLookupError):
                 code = service.end()
     typer.echo(f"{loopback.heading(sensors, rate_hz)} for {hours:g} h{host()}")
-    report(samples, ages, outcomes, min(WARM_UP_PART * hours * 3600, MAX_WARM_UP_S))
+    report(samples, outcomes, min(WARM_UP_PART * hours * 3600, MAX_WARM_UP_S))
     typer.echo(f"exit code {code}")

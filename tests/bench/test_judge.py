@@ -15,9 +15,9 @@ def a_press(scene="letters", noise=0.05):
 
 
 def test_auto_is_nearer_the_truth_than_skimage_that_knows_it():
-    methods = {name: own(name) for name in ("auto", "tests.bench.test_judge:same")}
+    methods = {"auto": own("auto"), "same": lambda press: press.frame}
     results = score(presses(16, (1.0,), (0.01,)), methods)
-    assert all(each.errors["tests.bench.test_judge:same"] == each.errors["raw"] for each in results)
+    assert all(each.errors["same"] == each.errors["raw"] for each in results)
     better = np.mean([min(each.errors["W*"], each.errors["RL*"]) for each in results])
     assert verdict(results, "auto").mean < better < verdict(results, "raw").mean
     assert max(verdict(results, "auto").over_raw) < 1.02
@@ -82,10 +82,6 @@ def test_ratios_are_those_of_a_cells_means_and_counted(capsys):
     assert "a             1    1   0.375   0.250" in printed
     assert "1.40 !\n" in printed
     assert "every press: 0.2333" in printed
-
-
-def same(press):
-    return press.frame
 
 
 def test_the_second_family_is_blurred_finer_by_two_covers_and_shares_no_kind_with_the_first():
