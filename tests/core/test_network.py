@@ -62,25 +62,20 @@ def test_what_is_not_known_stays_unknown_and_spreads_by_two_cells_only():
 
 
 def test_shapes_that_do_not_fit_are_refused():
-    arrays, out = stage(np.random.default_rng(1), 3, 16, 12, 12), np.empty((12, 12), np.float32)
-    for n, array in enumerate((*arrays, out)):
-        wrong = [*arrays, out]
-        wrong[n] = np.ascontiguousarray(array[..., :-1])
-        with pytest.raises(ValueError, match="do not fit"):
-            network.redraw(*wrong)
-    every, image = stages(np.random.default_rng(1), 8, 12, 12), np.empty((12, 12), np.float32)
-    for n, array in enumerate(every):
-        wrong = every.copy()
-        wrong[n] = np.ascontiguousarray(array[..., :-1])
-        with pytest.raises(ValueError, match="do not fit"):
-            restored(wrong, (0, 12, 0, 12), image)
+    random, out = np.random.default_rng(1), np.empty((12, 12), np.float32)
+    every = stages(random, 8, 12, 12)
+    known = [images(random, *shape) for shape in ((3,), (3,), (3,), (4, 2), (3, 5), (5,))]
+    for function, arrays in (
+        (network.redraw, [*stage(random, 3, 16, 12, 12), out]),
+        (lambda *each: restored(each, (0, 12, 0, 12), out), every),
+        (network.tune, known),
+    ):
+        for n, array in enumerate(arrays):
+            with pytest.raises(ValueError, match="do not fit"):
+                function(*arrays[:n], np.ascontiguousarray(array[..., :-1]), *arrays[n + 1 :])
     for within in ((-1, 12, 0, 12), (0, 13, 0, 12), (0, 12, 5, 5), (0, 12, 0, 13)):
         with pytest.raises(ValueError, match="do not fit"):
-            restored(every, within, image)
-    known = [images(np.random.default_rng(1), *shape) for shape in ((3,), (3,), (3,), (4, 2), (3, 5), (5,))]
-    for n, array in enumerate(known):
-        with pytest.raises(ValueError, match="do not fit"):
-            network.tune(*known[:n], np.ascontiguousarray(array[..., :-1]), *known[n + 1 :])
+            restored(every, within, out)
 
 
 def stages(random, filters, rows, columns):

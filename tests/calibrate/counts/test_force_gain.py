@@ -58,18 +58,6 @@ def test_presses_of_known_force_give_the_common_gain_and_the_spread_of_the_taxel
     assert 0.9 < (np.abs(np.abs(fit.curves.gain) / gains - 1) < 1.96 * fit.curves.deviation).mean() <= 1
 
 
-def test_without_spread_the_common_gain_and_a_curve_are_exact():
-    for shape in ("linear", "power"):
-        skin = Skin(256, shape, 33, spread=0)
-        places, force = presses(middle(12, 33))
-        series = skin.series(contact(places, force, ARRAY, WIDTH_MM))
-        fit = fit_force(series, log(series, force), ARRAY, Rails())
-        assert fit.curves.form == shape
-        for kpa in (20, 40):
-            got = fit.curves.pressure(skin.relative(np.full(256, kpa)) * skin.full)
-            np.testing.assert_allclose(got, kpa, rtol=0.01)
-
-
 def test_loads_at_the_border_and_on_dead_taxels_are_left_out():
     skin = Skin(256, seed=35, spread=0, dead=(120,))
     skin.offset[120] = 0

@@ -138,10 +138,10 @@ def test_the_curvature_is_known_where_pressures_lie_between():
 @pytest.mark.parametrize(("shape", "offset"), [("linear", 3.21), ("power", -0.537)])
 def test_a_pressure_log_gives_the_same_and_the_offset_of_its_clock(shape, offset):
     kpa = steps((0, 60, 5, 40, 10, 60, 0), hold_s=4, ramp_s=3)
-    skin = Skin(96, shape, 15, dead=DEAD)
+    skin = Skin(48, shape, 15, dead=(7, 40))
     series = skin.series(kpa)
     fit = fit_pressure(series, pressure_log(series, kpa, offset), Rails())
-    assert fit.dead == DEAD
+    assert fit.dead == skin.dead
     error, deviation = errors(fit, skin, 55)
     assert np.abs(error).max() < 0.01
     assert (np.abs(error) < 1.96 * deviation).mean() > 0.9

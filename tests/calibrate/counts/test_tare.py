@@ -82,12 +82,9 @@ def test_a_press_is_a_load_over_any_offset(observe, disc, kpa, radius, offset):
     assert observe(disc(kpa, radius), offset).startswith("contact of ")
 
 
-def test_a_press_is_a_load_among_offsets_of_the_taxels(blur, observe, disc):
+def test_a_press_is_a_load_among_offsets_of_the_taxels_and_on_most_of_a_tared_array(blur, observe, disc):
     offset = np.random.default_rng(2).normal(10, 3, blur.frame_shape)
     assert observe(disc(200.0, 0.1), offset).startswith("contact of ")
-
-
-def test_a_press_on_most_of_a_tared_array_is_a_load(observe, disc):
     load = disc(50.0, 0.45, (0.5, 0.4))
     assert np.mean(load > 0) > 0.55
     assert observe(load).startswith("contact of ")

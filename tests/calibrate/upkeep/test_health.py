@@ -1,3 +1,4 @@
+from itertools import islice
 from operator import call
 
 import numpy as np
@@ -20,10 +21,10 @@ from tests.bench.health import (
     Run,
     discs,
     false_alarms,
-    false_positives,
     grasps,
     noisy,
     play,
+    scenarios,
 )
 from tests.plans import plan
 
@@ -51,11 +52,16 @@ def test_a_fault_is_found_named_and_undone_when_the_taxel_heals(fault, thickness
     assert not run.calibrator.faulty.any()
 
 
-def test_healthy_arrays_have_no_false_alarm_in_forty_million_taxel_frames():
-    """The demo's tour under three covers and without noise, empty, drifting and heavily loaded pads."""
-    counts = [each[1:] for each in false_positives(tours=1, seconds=30.0, seed=77, gains_measured=(True,))]
-    assert sum(frames for frames, _ in counts) > 4e7
-    assert sum(changes for _, changes in counts) == 0
+def test_healthy_arrays_have_no_false_alarm():
+    """The demo's tour under three covers and without noise, empty, drifting and heavily loaded pads.
+
+    Of six frames one is looked at.
+    """
+    for number, each in enumerate(scenarios(tours=1, seconds=30.0)):
+        looked_at = each._replace(frames=islice(each.frames, 0, None, 6), rate_hz=each.rate_hz / 6)
+        name, frames, changes = false_alarms(looked_at, [77, number], True)
+        assert (name, changes) == (name, 0)
+        assert frames > 4e5
 
 
 @pytest.mark.parametrize(("thickness", "calibrated"), [(0.5, True), (1.0, False)])
