@@ -65,9 +65,8 @@ def test_a_claim_of_another_robots_key_changes_nothing_and_neither_does_none(rig
     until(lambda: list(session.get(f"{base}/clock")))
     (challenge,) = [each.ok.payload.to_string() for each in session.get(f"{base}/challenge")]
     about = change | {"challenge": challenge}
-    assert details(session, key, body, about | {"claim": sign(robot_key(KEY, "r2"), key, about, body)}) == [
-        WRONG_KEY
-    ]
+    of_another = sign(robot_key(KEY, "r2"), key, about, body)
+    assert details(session, key, body, about | {"claim": of_another}) == [WRONG_KEY]
     assert details(session, key, body, change) == [NO_CLAIM]
     assert details(session, key, body, change | {"headers": {"authorization": f"Bearer {TOKEN}"}}) == []
     assert rig.sensor.method == "wiener"
@@ -115,39 +114,30 @@ def test_a_request_that_its_reader_does_not_answer_ends_in_time(routed, monkeypa
     assert change == f"{refused}: whether it was done is unknown"
 
 
+JSON, SCRIPT = {"content-type": "application/json"}, b"<script>1</script>"
 METHOD = b'{"method": "nnls", "configured": "nnls", "kept": null}'
 WRONG_ANSWERS = {
-    "html": (
-        200,
-        {"content-type": "text/html", "content-security-policy": "default-src *"},
-        b"<script>1</script>",
-    ),
-    "html called json": (200, {"content-type": "application/json"}, b"<script>1</script>"),
+    "html": (200, {"content-type": "text/html", "content-security-policy": "default-src *"}, SCRIPT),
+    "html called json": (200, JSON, SCRIPT),
     "a picture with a script": (200, {"content-type": "image/svg+xml"}, b"<svg/>"),
     "a redirect": (302, {"location": "https://elsewhere/"}, b""),
     "a prompt for a password": (401, {"content-type": "application/problem+json"}, b"{}"),
-    "fields of another type": (
-        200,
-        {"content-type": "application/json"},
-        b'{"method": 1, "configured": [], "kept": 0}',
-    ),
-    "deep": (200, {"content-type": "application/json"}, b"[" * 100_000),
-    "long": (200, {"content-type": "application/json"}, METHOD + b" " * MAX_ANSWER_BYTES),
-    "no problem": (422, {"content-type": "application/json"}, b'{"detail": "no"}'),
-    "another success": (202, {"content-type": "application/json"}, METHOD),
+    "fields of another type": (200, JSON, b'{"method": 1, "configured": [], "kept": 0}'),
+    "deep": (200, JSON, b"[" * 100_000),
+    "long": (200, JSON, METHOD + b" " * MAX_ANSWER_BYTES),
+    "no problem": (422, JSON, b'{"detail": "no"}'),
+    "another success": (202, JSON, METHOD),
     "no kind": (200, {}, METHOD),
 }
 
 
 def test_what_no_reader_answers_is_a_bad_gateway_and_headers_are_the_servers_own(served, monkeypatch):
     _, url = served()
-    answer = Answer(200, {"content-type": "application/json"}, METHOD)
+    answer = Answer(200, JSON, METHOD)
     monkeypatch.setattr(Requests, "__call__", lambda *_: answer)
     path = f"{url}/sensors/{NAME}/method"
     own = ask("GET", path)
-    answer = answer._replace(
-        headers={"set-cookie": "a=b", "location": "/", "x-frame-options": "ALLOW"} | answer.headers
-    )
+    answer = answer._replace(headers={"set-cookie": "a=b", "location": "/", "x-frame-options": "ALLOW"} | JSON)
     good = ask("GET", path)
     assert (good.content, good.headers.keys()) == (own.content, own.headers.keys())
     assert good.headers["x-frame-options"] == own.headers["x-frame-options"] == "DENY"
@@ -162,16 +152,8 @@ def test_a_resource_that_no_sensor_has_never_reaches_a_reader(served, monkeypatc
     _, url = served()
     requests = []
     monkeypatch.setattr(Requests, "__call__", lambda _, request: requests.append(request))
-    for path in (
-        "nowhere",
-        "../../config",
-        "regions/a/b/c",
-        "%2e%2e/palm2",
-        "rest/method",
-        "method/",
-        "frames/x/y",
-        "frames/x",
-    ):
+    wrong = "nowhere ../../config regions/a/b/c %2e%2e/palm2 rest/method method/ frames/x/y frames/x"
+    for path in wrong.split():
         assert ask("GET", f"{url}/sensors/{NAME}/{path}").status_code in (404, 422), path
     assert ask("DELETE", f"{url}/sensors/{NAME}/method").status_code == 405
     assert requests == []

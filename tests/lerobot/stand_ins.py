@@ -8,17 +8,9 @@ from importlib.machinery import ModuleSpec
 from types import ModuleType
 
 PACKAGES = {
-    "accelerate",
-    "av",
-    "datasets",
-    "deepdiff",
-    "einops",
-    "gymnasium",
-    "huggingface_hub",
-    "pandas",
-    "pyarrow",
-}
-PACKAGES |= {"safetensors", "torch", "torchvision", "tqdm"}
+    "accelerate", "av", "datasets", "deepdiff", "einops", "gymnasium", "huggingface_hub", "pandas", "pyarrow",
+    "safetensors", "torch", "torchvision", "tqdm",
+}  # fmt: skip
 
 
 class Attributes(type):
@@ -61,10 +53,8 @@ class Finder(MetaPathFinder, Loader):
 @contextmanager
 def stand_ins():
     """What is imported meanwhile gets stand-ins for these packages, and nothing else ever does."""
-    finder, before = (
-        Finder(),
-        {name: each for name, each in sys.modules.items() if name.partition(".")[0] in PACKAGES},
-    )
+    finder = Finder()
+    before = {name: each for name, each in sys.modules.items() if name.partition(".")[0] in PACKAGES}
     for name in before:
         del sys.modules[name]
     sys.meta_path.insert(0, finder)

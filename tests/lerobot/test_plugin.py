@@ -54,19 +54,10 @@ def make_robot(lerobot, url, tmp_path):
 
     def make(*options, sensors="[palm]"):
         arm = f"{{type: arm, port: /dev/arm, calibration_dir: {tmp_path}}}"
-        options += (
-            "type=tactiled",
-            f"robot={arm}",
-            f"url={url}",
-            f"sensors={sensors}",
-            f"calibration_dir={tmp_path}",
-        )
-        config = (
-            importlib.import_module("draccus")
-            .parse(command, args=[f"--robot.{option}" for option in options])
-            .robot
-        )
-        made.append(lerobot.make_robot_from_config(config))
+        options += "type=tactiled", f"robot={arm}", f"url={url}", f"sensors={sensors}"
+        arguments = [f"--robot.{option}" for option in (*options, f"calibration_dir={tmp_path}")]
+        config = importlib.import_module("draccus").parse(command, args=arguments)
+        made.append(lerobot.make_robot_from_config(config.robot))
         return made[-1]
 
     yield make
@@ -145,9 +136,7 @@ def test_without_new_frames_an_observation_is_an_error_until_they_come_back(rig,
         try:
             return not robot.get_observation()
         except TimeoutError as error:
-            return re.search(
-                r"sensor 'palm' has 1/1 frames, the newest [\d.]+ s old: max_age_s = 0\.5", str(error)
-            )
+            return re.search(r"'palm' has 1/1 frames, the newest [\d.]+ s old: max_age_s = 0\.5", str(error))
 
     robot = make_robot("max_age_s=0.5")
     with rig.playing(50):

@@ -19,15 +19,8 @@ LISTENS = re.compile(r"WebDriver BiDi listening on (ws://\S+)")
 def firefox():
     """A browser without a window, as a `Page`."""
     with tempfile.TemporaryDirectory() as profile:
-        command = [
-            "firefox-esr",
-            "--headless",
-            "--no-remote",
-            "--profile",
-            profile,
-            "--remote-debugging-port",
-            "0",
-        ]
+        options = "--headless", "--no-remote", "--profile", profile, "--remote-debugging-port", "0"
+        command = ["firefox-esr", *options]
         process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
         try:
             address = next(filter(None, map(LISTENS.search, process.stderr)))[1]
@@ -61,9 +54,8 @@ class Page:
                 return answer["result"]
 
     def open(self, url, width, height):
-        self._call(
-            "browsingContext.setViewport", context=self._context, viewport={"width": width, "height": height}
-        )
+        size = {"width": width, "height": height}
+        self._call("browsingContext.setViewport", context=self._context, viewport=size)
         self._host = url.partition("//")[2]
         self.errors.clear()
         self._call("browsingContext.navigate", context=self._context, url=url, wait="complete")
@@ -71,11 +63,13 @@ class Page:
     def evaluate(self, expression):
         """The value of an expression, as JSON has it."""
         text = f"JSON.stringify({expression})"
-        answer = self._call(
-            "script.evaluate", expression=text, target={"context": self._context}, awaitPromise=False
-        )
+        return json.loads(self._evaluate(text).get("value", "null"))
+
+    def _evaluate(self, expression):
+        target = {"context": self._context}
+        answer = self._call("script.evaluate", expression=expression, target=target, awaitPromise=False)
         assert answer["type"] == "success", answer
-        return json.loads(answer["result"].get("value", "null"))
+        return answer["result"]
 
     def wait(self, true, send=lambda: None):
         """Send frames until an expression is true; gives it."""
@@ -95,17 +89,11 @@ class Page:
         node = f"document.querySelector({json.dumps(selector)})"
         self.evaluate(f"{node}.scrollIntoView({{block: 'nearest'}})")
         width, height = self.evaluate(f"[{node}.offsetWidth, {node}.offsetHeight]")
-        element = self._call(
-            "script.evaluate", expression=node, target={"context": self._context}, awaitPromise=False
-        )
-        origin = {"type": "element", "element": {"sharedId": element["result"]["sharedId"]}}
+        origin = {"type": "element", "element": {"sharedId": self._evaluate(node)["sharedId"]}}
         places = [
             {"type": "pointerMove", "x": round(x * width), "y": round(y * height), "origin": origin}
             for x, y in (start, end)
         ]
         actions = [places[0], {"type": "pointerDown", "button": 0}, places[1], {"type": "pointerUp", "button": 0}]
-        self._call(
-            "input.performActions",
-            context=self._context,
-            actions=[{"type": "pointer", "id": "mouse", "actions": actions}],
-        )
+        pointer = [{"type": "pointer", "id": "mouse", "actions": actions}]
+        self._call("input.performActions", context=self._context, actions=pointer)

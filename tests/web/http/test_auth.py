@@ -62,6 +62,7 @@ FOREIGN = (
     {"Sec-Fetch-Site": "cross-site"},
     {"Sec-Fetch-Site": "same-site", "Sec-Fetch-Mode": "no-cors"},
 )
+LINK = {"Sec-Fetch-Site": "cross-site", "Sec-Fetch-Mode": "navigate"}
 
 
 def test_a_page_of_another_site_is_refused(rig, tmp_path):
@@ -70,25 +71,18 @@ def test_a_page_of_another_site_is_refused(rig, tmp_path):
         paths = client.get("/api/v1/openapi.json").json()["paths"].items()
         verbs = [(verb, path) for path, operations in paths for verb in set(operations) - {"get"}]
         assert len(verbs) >= 6
-        for headers, (verb, path) in product(FOREIGN, [*verbs, ("get", "/api/v1/health")]):
-            problem(
-                client.request(verb, path.format(name="palm", number=1, region="heel"), headers=headers, json=RAW),
-                403,
-            )
-        for headers, path in product(FOREIGN, ("/api/v1/sensors/palm/stream", "/api/v1/stream")):
+        for headers, (verb, path) in product((*FOREIGN, LINK), verbs):
+            path = path.format(name="palm", number=1, region="heel")
+            problem(client.request(verb, path, headers=headers, json=RAW), 403)
+        for headers in FOREIGN:
+            problem(client.get("/api/v1/health", headers=headers), 403)
+        for headers, path in product((*FOREIGN, LINK), ("/api/v1/sensors/palm/stream", "/api/v1/stream")):
             with connect(websocket_url(url, path), additional_headers=headers) as stream:
                 assert closed(stream)[0] == 4403
         assert client.get("/api/v1/health", headers={"Origin": url}).status_code == 200
+        assert client.get("/", headers=LINK).status_code == 200  # it opens the viewer
     assert rig.sensor.method == "wiener"
     assert {each.kind for each in rig.service.events.after(0)} <= {"sensor_silent"}
-
-
-def test_a_link_from_another_site_opens_the_viewer_and_changes_nothing(url):
-    headers = {"Sec-Fetch-Site": "cross-site", "Sec-Fetch-Mode": "navigate"}
-    assert ask("GET", url, headers=headers).status_code == 200
-    problem(ask("POST", url + TARE, headers=headers), 403)
-    with connect(websocket_url(url), additional_headers=headers) as client:
-        assert closed(client)[0] == 4403
 
 
 def test_every_resource_needs_a_token(guarded):
