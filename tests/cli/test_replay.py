@@ -10,7 +10,7 @@ from tactiled.bus.replay import Replay, frames
 from tactiled.bus.router import Router
 from tactiled.cli.replay import replaying
 from tactiled.config import parse
-from tactiled.frames import Image, Message
+from tactiled.frames import Image
 from tactiled.live.contact_search import ImageContacts
 from tests.cli.commands import refusal, succeed
 from tests.cli.recordings import CODEC, CONFIG, FRAMES, counts, traffic, write
@@ -63,13 +63,6 @@ def test_the_recorded_pace_and_multiples_of_it(lossy, clock, speed):
     assert times[-1] - times[0] == pytest.approx((FRAMES - 1) * 0.01 / speed)
 
 
-def test_a_stop_ends_a_replay_within_a_pause(tmp_path):
-    path = write(tmp_path / "a.log", [Message(1e9, 1, b"\x01"), Message(1e9 + 3600, 1, b"\x01")])
-    play = Replay(path, {"palm": CODEC}, lambda *_: None)
-    play.start()
-    play.stop()  # waits for the end of the thread
-
-
 def test_silence_and_the_end_close_a_half_received_frame():
     frame = np.full(64, 100, np.uint16)
     halves = [CODEC.encode(frame, sequence, when)[0] for sequence, when in ((0, 1.0), (1, 1.02), (2, 1.2))]
@@ -80,31 +73,20 @@ def test_silence_and_the_end_close_a_half_received_frame():
     assert closed.flags.any()  # its second half came after the silence
 
 
-def stepping(path, step):
-    """A recording of frames at 100 Hz whose clock steps after the tenth; Python-can would not write it."""
-    rng, lines = np.random.default_rng(1), []
+def test_a_step_of_the_recordings_clock_is_an_event_and_a_short_pause(tmp_path, clock):
+    rng, lines = np.random.default_rng(1), []  # which python-can would not write
     for sequence in range(20):
-        when = 1.6e9 + sequence * 0.01 + (step if sequence >= 10 else 0.0)
+        when = 1.6e9 + sequence * 0.01 - 3600 * (sequence >= 10)
         messages = CODEC.encode(counts(sequence, rng), sequence, when)
         lines += [f"({each.time:f}) can0 {each.id:03X}##1{each.data.hex()} R\n" for each in messages]
-    path.write_text("".join(lines))
-    return path
-
-
-@pytest.mark.parametrize(
-    ("step", "event", "wait"),
-    [
-        (3600.0, "a.log pauses for 3600.01 s before message 21: it goes on in 10 s", 10.0),
-        (-3600.0, "a.log steps back in time by 3599.99 s at message 21: it goes on in 1 s", 1.0),
-    ],
-)
-def test_a_step_of_the_recordings_clock_is_an_event_and_a_short_pause(tmp_path, clock, step, event, wait):
-    service, began = replaying(parse(CONFIG), stepping(tmp_path / "a.log", step), 1.0), clock.now
+    (tmp_path / "a.log").write_text("".join(lines))
+    service, began = replaying(parse(CONFIG), tmp_path / "a.log", 1.0), clock.now
     (sensor,) = service.sensors.values()
     with service.running():
         until(lambda: sensor.health.ended)
+    event = "a.log steps back in time by 3599.99 s at message 21: it goes on in 1 s"
     assert [each.text for each in service.events.after(0) if each.kind == "replay_stepped"] == [event]
-    assert clock.now - began == pytest.approx(0.18 + wait)
+    assert clock.now - began == pytest.approx(0.18 + 1.0)
     assert sensor.hub.latest().loss.late == 0
     assert sensor.status().detail == "a.log has ended after 40 messages, with 1 step of their clock"
 
