@@ -16,29 +16,13 @@ NAN, INF = float("nan"), float("inf")
 
 
 REFUSED = {
-    "Poisson's ratio": (
-        lambda value: Layer(1.0, 1.0, value),
-        (0.5, 0.6, -0.1, NAN),
-        "Poisson's ratio is {}: give 0 ",
-    ),
-    "thickness": (
-        lambda value: Layer(value, 1.0, 0.3),
-        (0.0, -0.2, NAN, INF),
-        "layer thickness is {} mm: give a ",
-    ),
-    "modulus": (lambda value: Layer(1.0, value, 0.3), (0.0, -1.0, NAN, INF), "Young's modulus is {} MPa: give a "),
-    "frequency": (
-        lambda value: layered.gain(PAPER, value),
-        (INF, NAN, -1.0),
-        "frequency q must be finite and not",
-    ),
-    "accuracy": (
-        lambda value: fem.solve(PAPER, value),
-        (0.0, -1e-3, 1e-7, 1.0, NAN),
-        "accuracy is {}: give 1e-06",
-    ),
-    "stress": (lambda value: fem.pressed(PAPER, 1.0, value), (0.0, 1.0), "accuracy is {}: give 1e-06"),
-    "footprint": (lambda value: fem.pressed(PAPER, value), (0.0, -1.0, NAN, INF), "footprint radius is {} mm"),
+    "Poisson's ratio": (lambda x: Layer(1.0, 1.0, x), (0.5, 0.6, -0.1, NAN), "Poisson's ratio is {}: give 0 "),
+    "thickness": (lambda x: Layer(x, 1.0, 0.3), (0.0, -0.2, NAN, INF), "layer thickness is {} mm: give a "),
+    "modulus": (lambda x: Layer(1.0, x, 0.3), (0.0, -1.0, NAN, INF), "Young's modulus is {} MPa: give a "),
+    "frequency": (lambda x: layered.gain(PAPER, x), (INF, NAN, -1.0), "frequency q must be finite and not"),
+    "accuracy": (lambda x: fem.solve(PAPER, x), (0.0, -1e-3, 1e-7, 1.0, NAN), "accuracy is {}: give 1e-06"),
+    "stress": (lambda x: fem.pressed(PAPER, 1.0, x), (0.0, 1.0), "accuracy is {}: give 1e-06"),
+    "footprint": (lambda x: fem.pressed(PAPER, x), (0.0, -1.0, NAN, INF), "footprint radius is {} mm"),
 }
 
 
@@ -60,10 +44,7 @@ def test_a_value_without_a_meaning_is_refused(case, value):
         (lambda: Profile((0.5, 1.0), (0.1, 0.0)), "start at 0"),
         (lambda: Profile((0.0, 1.0, 1.0), (0.1, 0.1, 0.0)), "let them grow"),
         (lambda: Profile((0.0, 1.0), (0.1, 0.1)), "let it end flat"),
-        (
-            lambda: fem.solve(PAPER, profile=Profile((0.0, 0.5), (-0.2, 0.0))),
-            "takes 0.2 mm from a cover 0.2 mm thick",
-        ),
+        (lambda: fem.solve(PAPER, profile=Profile((0.0, 0.5), (-0.2, 0.0))), "takes 0.2 mm from a cover 0.2 mm"),
         (lambda: solve(PAPER, "layered", profile=Profile((0.0, 0.5), (0.1, 0.0))), "knows flat layers only"),
         (lambda: solve(PAPER, "exact"), "cover model is 'exact'"),
     ],

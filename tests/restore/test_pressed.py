@@ -97,14 +97,7 @@ def test_what_nothing_tells_from_noise_is_not_left_out_of_a_faint_frame(sensed, 
         ({"beyond": True}, (6, 6), True),
         ({"beyond": True}, (1, 6), False),
     ],
-    ids=[
-        "refined",
-        "at the border",
-        "layout",
-        "ends with the taxels",
-        "goes on beyond",
-        "the same, at the border",
-    ],
+    ids=["refined", "at the border", "layout", "ends with the taxels", "goes on", "goes on at the border"],
 )
 def test_the_box_is_in_cells_of_the_surface(covered, arguments, place, clear):
     """Around the cell of a single taxel that reads something, by two pitches and half a cell."""
