@@ -8,7 +8,7 @@ from tests.bench.cover import PAPER, sweep, times_s, trial
 
 
 def test_every_stack_of_a_short_sweep_reaches_the_aim():
-    trials = sweep(12, seed=3)
+    trials = sweep(6, seed=3)
     assert not [each.refusal for each in trials if each.refusal]
     assert max(each.error for each in trials) <= 1e-3
     assert max(each.ratio for each in trials) <= 2
