@@ -138,6 +138,7 @@ def recording(kind: str, random: np.random.Generator) -> Trial:
     return Trial(RecordedTouch(series, array, believed, calibration, (0, 4095)), factor)
 
 
+HEADINGS = "", "refused", "rms / worst error", "half of the interval, median", "intervals that hold"
 KINDS = "clean", "other things", "fingers alone", "drift", "row noise", "creep"
 
 
@@ -157,10 +158,15 @@ def outcome(kind: str, seed: list[int], fit: Callable[..., CoverFit] = fit_touch
         fitted = fit(trial.recorded, "blind", None)
     except ConfigError as error:
         return Outcome(np.nan, False, np.nan, str(error))
-    if fitted.reason:
-        return Outcome(np.nan, False, np.nan, fitted.reason)
-    low, high = (each / trial.factor for each in fitted.interval)
-    return Outcome(fitted.factor / trial.factor - 1, low < 1 < high, (high - low) / 2, "")
+    return judged(fitted, trial.factor)
+
+
+def judged(fitted: CoverFit, factor: float) -> Outcome:
+    """Hold a fit against the true factor."""
+    if reason := fitted.reason or fitted.objection:
+        return Outcome(np.nan, False, np.nan, reason)
+    low, high = (each / factor for each in fitted.interval)
+    return Outcome(fitted.factor / factor - 1, low < 1 < high, (high - low) / 2, "")
 
 
 def line(kind: str, outcomes: list[Outcome]) -> tuple[str, ...]:
@@ -182,6 +188,5 @@ def blind(trials: int = 20, seed: int = 1, kind: str = "") -> None:
         outcomes = [outcome(one, [seed, n]) for n in track(range(trials), one, transient=True)]
         rows.append(line(one, outcomes))
         reasons += sorted({f"{one}: {each.reason}" for each in outcomes if each.reason})
-    headings = "recording", "refused", "rms / worst error", "half of the interval, median", "intervals that hold"
-    print_table(f"Blind fits of {trials} covers, t/pitch 0.5 to 3", headings, rows)
+    print_table(f"Blind fits of {trials} covers, t/pitch 0.5 to 3", HEADINGS, rows)
     print(*reasons, f"Seed {seed}. {machine()}", sep="\n")

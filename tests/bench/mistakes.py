@@ -24,11 +24,11 @@ from tactiled.cover.operator import aperture_mean
 from tactiled.cover.stack import Layer, Stack
 from tactiled.geometry import grid
 from tests import rigid
+from tests.bench.blind import HEADINGS, judged, line
 
 COARSER, LOWER = 5.0, 0.2  # counts and zeros than those of 16 bits
 TRUE_APERTURE, RIDGES_MM = 0.8, (0.6, 2.0)
 MAX_WAVE = 12.0  # cycles/mm: no cover here passes more
-HEADINGS = ("row", "rms / worst error, %", "intervals that hold", "half of the interval, %", "refused")
 
 
 @dataclass(frozen=True)
@@ -171,7 +171,7 @@ def bent(series, skin, bend):
 
 
 def trial(row, seed, number):
-    """One skin, pressed and fitted: the fit, and the true factor."""
+    """One skin, pressed, fitted and judged."""
     random = np.random.default_rng([seed, number])
     truth, array = draw(row, random)
     skin, gains = truth.skin, bench.calibrated(truth, random)
@@ -187,25 +187,11 @@ def trial(row, seed, number):
     measured = float(random.normal(size * factor, row.size_error_mm))
     if row.way == "tip":
         tip = Tip(measured) if row.is_measured else Tip()
-        return fit_cover(
-            tip_touch(presses, array, truth.configured, tip, gain_error), presses, "tip"
-        ), truth.factor
+        touch = tip_touch(presses, array, truth.configured, tip, gain_error)
+        return judged(fit_cover(touch, presses, "tip"), truth.factor)
     width = measured if row.way == "ridge" else None
     touch = edge_touch(presses, array, truth.configured, gain_error, width)
-    return fit_cover(touch, presses, "edge"), truth.factor
-
-
-def line(name, fits):
-    """One row of the table."""
-    accepted = [(fit, true) for fit, true in fits if not (fit.reason or fit.objection)]
-    refused = f"{len(fits) - len(accepted)} of {len(fits)}"
-    if not accepted:
-        return name, "", "", "", refused
-    errors = np.array([100 * (fit.factor / true - 1) for fit, true in accepted])
-    covered = sum(fit.interval[0] <= true <= fit.interval[1] for fit, true in accepted)
-    half = np.median([50 * (fit.interval[1] - fit.interval[0]) / true for fit, true in accepted])
-    figures = f"{np.sqrt(np.mean(errors**2)):.2f} / {np.abs(errors).max():.2f}"
-    return name, figures, f"{covered} of {len(accepted)}", f"{half:.1f}", refused
+    return judged(fit_cover(touch, presses, "edge"), truth.factor)
 
 
 def mistakes(

@@ -8,6 +8,7 @@ from tactiled.contacts.tracking import Tracker
 from tactiled.geometry import grid, layout, raster
 from tactiled.restore.methods import make
 from tactiled.simulate.array import Surface
+from tests.bench.border import hexagonal
 from tests.plans import plan
 
 SIDE, NOISE = 24, 0.3
@@ -176,12 +177,9 @@ def test_noise_does_not_split_a_weak_contact(find):
     assert {len(find(noisy(image, NOISE, seed), NOISE)) for seed in range(20)} == {1}
 
 
-def hexagons(pitch=2.0, rows=12, columns=12):
-    places = [(c + r % 2 / 2, r * 3**0.5 / 2) for r in range(rows) for c in range(columns)]
-    return layout(pitch * np.array(places), 0.8 * pitch)
-
-
-@pytest.mark.parametrize("array", [hexagons(), grid(12, 12, 2.0, 1.6)], ids=["hexagons", "grid"])
+@pytest.mark.parametrize(
+    "array", [layout(2.0 * hexagonal(12, 12), 1.6), grid(12, 12, 2.0, 1.6)], ids=["hexagons", "grid"]
+)
 def test_two_contacts_with_a_dip_between_are_two_on_every_layout(array):
     cells = raster(array, 2)
     find = Finder(array, cells)

@@ -12,6 +12,7 @@ from tactiled.calibrate.counts.means import Rails
 from tactiled.calibrate.counts.reference import Reference
 from tactiled.cover.stack import Layer, Stack
 from tactiled.errors import ConfigError
+from tactiled.frames import FrameSeries
 from tactiled.geometry import grid, layout
 from tactiled.guided.gain_procedure import _gain_line, _outcome
 from tests.calibrate.counts.skins import FULL_KPA, RATE_HZ, Skin, contact
@@ -38,6 +39,12 @@ def presses(places, seconds=3.0):
     load = np.interp(np.linspace(0, 1, frames), [0, 0.2, 0.4, 0.6, 0.8, 1], [0, 0, 1, 1, 0, 0])
     strength = np.random.default_rng(8).uniform(0.6, 1, len(places))
     return np.repeat(places, frames, axis=0), PEAK_N * (strength[:, None] * load).ravel()
+
+
+def laid_on(skin, places, array=ARRAY, width=WIDTH_MM):
+    """Frames of PEAK_N that lies at one place after another for 10 s each."""
+    places, force = presses(np.array(places), seconds=10)
+    return skin.series(contact(places, np.where(force > 0, PEAK_N, 0), array, width))
 
 
 def middle(count, seed):
@@ -77,9 +84,7 @@ def test_loads_at_the_border_and_on_dead_taxels_are_left_out():
 
 
 def test_a_weight_gives_the_common_gain_and_says_that_the_spread_is_not_known():
-    skin = Skin(256, seed=36, spread=0)
-    places, force = presses(np.array([[10.0, 11.0], [12.0, 9.0]]), seconds=10)
-    series = skin.series(contact(places, np.where(force > 0, PEAK_N, 0), ARRAY, WIDTH_MM))
+    series = laid_on(Skin(256, seed=36, spread=0), [[10.0, 11.0], [12.0, 9.0]])
     fit = fit_weight(series, PEAK_N, ARRAY, Rails())
     np.testing.assert_allclose(fit.curves.gain, FULL_KPA / 3000, rtol=0.01)
     assert not fit.curves.individual.any()
@@ -91,9 +96,7 @@ def test_a_weight_gives_the_common_gain_and_says_that_the_spread_is_not_known():
 
 def test_taxels_that_always_read_their_ceiling_are_dead_and_refuse_no_weight():
     """Ten of 256 were 71 % of the readings under load: those of a small foot are few."""
-    skin = Skin(256, seed=36, spread=0, falling=True)
-    places, force = presses(np.array([[10.0, 11.0], [12.0, 9.0]]), seconds=10)
-    series = skin.series(contact(places, np.where(force > 0, PEAK_N, 0), ARRAY, WIDTH_MM))
+    series = laid_on(Skin(256, seed=36, spread=0, falling=True), [[10.0, 11.0], [12.0, 9.0]])
     series.counts[:, [15, 250]] = 0
     fit = fit_weight(series, PEAK_N, ARRAY, Rails(low=0))
     np.testing.assert_allclose(fit.curves.gain, -FULL_KPA / 3000, rtol=0.01)
@@ -160,9 +163,7 @@ def test_the_interval_of_a_weight_is_students_over_its_places():
 
 
 def test_a_weight_that_was_laid_on_the_border_once_is_left_out():
-    places, force = presses(np.array([[10.0, 11.0], [0.0, 11.0]]), seconds=10)
-    skin = Skin(256, seed=36, spread=0)
-    series = skin.series(contact(places, np.where(force > 0, PEAK_N, 0), ARRAY, WIDTH_MM))
+    series = laid_on(Skin(256, seed=36, spread=0), [[10.0, 11.0], [0.0, 11.0]])
     fit = fit_weight(series, PEAK_N, ARRAY, Rails())
     np.testing.assert_allclose(fit.curves.gain, FULL_KPA / 3000, rtol=0.01)
     assert fit.notes[0] == "load 2 of 2 is not used: it reaches the border of the array or a dead taxel"
@@ -173,16 +174,14 @@ def test_a_weight_that_was_laid_on_the_border_once_is_left_out():
     [(PEAK_N, 400, "must start unloaded"), (-1.0, 0, "weight of -1 N"), (1e4, 0, "check the unit")],
 )
 def test_a_bad_weight_is_refused(weight_n, first, message):
-    places, force = presses(np.array([[10.0, 11.0]]), seconds=10)
-    series = Skin(256, seed=37).series(contact(places, np.where(force > 0, PEAK_N, 0), ARRAY, WIDTH_MM)[first:])
+    series = laid_on(Skin(256, seed=37), [[10.0, 11.0]])
     with pytest.raises(ConfigError, match=message):
-        fit_weight(series, weight_n, ARRAY, Rails(sign=1))
+        fit_weight(FrameSeries(series.times[first:], series.counts[first:]), weight_n, ARRAY, Rails(sign=1))
 
 
 @pytest.mark.parametrize("array", [grid(1, 1, 2.0), grid(1, 4, 2.0), layout(np.zeros((1, 2)), 2.0)])
 def test_a_force_on_an_array_that_is_all_border_is_refused(array):
-    places, force = presses(np.zeros((2, 2)), seconds=10)
-    series = Skin(array.size, seed=39).series(contact(places, np.where(force > 0, PEAK_N, 0), array, WIDTH_MM))
+    series = laid_on(Skin(array.size, seed=39), np.zeros((2, 2)), array)
     with pytest.raises(ConfigError, match="every taxel is at the border"):
         fit_weight(series, PEAK_N, array, Rails())
 
@@ -200,8 +199,7 @@ def test_a_force_gives_the_same_gain_wherever_it_lies_on_an_uneven_layout(shape)
 
 
 def test_the_chart_of_a_weight_on_an_uneven_layout_has_its_loads_on_the_line():
-    places, force = presses(np.array([[9.0, 9.0], [30.0, 9.0]]), seconds=10)
-    kpa = contact(places, np.where(force > 0, PEAK_N, 0), UNEVEN, 2.5)
-    fit = fit_weight(Skin(UNEVEN.size, seed=40, spread=0).series(kpa), PEAK_N, UNEVEN, Rails())
+    series = laid_on(Skin(UNEVEN.size, seed=40, spread=0), [[9.0, 9.0], [30.0, 9.0]], UNEVEN, 2.5)
+    fit = fit_weight(series, PEAK_N, UNEVEN, Rails())
     counts, measured, _ = _gain_line(fit, 0)[:, -2:]
     np.testing.assert_allclose(counts * fit.curves.gain[0], measured, rtol=0.01)

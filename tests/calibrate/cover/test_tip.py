@@ -20,6 +20,7 @@ from tactiled.geometry import grid, layout
 from tests.touched import Skin, World, recorded, rubber
 
 CONFIGURED = 1.3  # times the true thickness
+ARRAY = grid(12, 12, 1.0)
 EXACT = Unknowns(aperture_mm=0, poisson=0, curvature=0, profile=0)
 SCATTERED = np.random.default_rng(8).uniform(-0.2, 0.2, (196, 2)) + grid(14, 14, 1.0).positions
 
@@ -68,11 +69,10 @@ def test_thickness_is_within_three_percent_and_its_interval(array, thickness, ti
 
 
 def test_intervals_hold_the_truth_as_often_as_they_say():
-    array = grid(12, 12, 1.0)
     scores = []
     for seed in range(10):
-        presses, _ = pressed(array, 0.9, seed=100 + seed, count=8, dead=0.05)
-        fit = fitted(presses, array, 0.9, Tip(1.6, 0.0))
+        presses, _ = pressed(ARRAY, 0.9, seed=100 + seed, count=8, dead=0.05)
+        fit = fitted(presses, ARRAY, 0.9, Tip(1.6, 0.0))
         deviation = np.log(fit.interval_mm[1] / fit.interval_mm[0]) / (2 * 1.96)
         scores.append(np.log(fit.thickness_mm / 0.9) / deviation)
     # chi-squared of 10: 2.56 to 23.2 in 98 of 100 samples
@@ -88,22 +88,20 @@ def test_intervals_hold_the_truth_as_often_as_they_say():
     ],
 )
 def test_a_tip_of_another_diameter_is_noted(true, measured, thickness, note, gain_error):
-    array = grid(12, 12, 1.0)
-    presses, _ = pressed(array, thickness, seed=11, tip_mm=true, count=8, gain_error=gain_error)
-    notes = fitted(presses, array, thickness, Tip(measured)).notes
+    presses, _ = pressed(ARRAY, thickness, seed=11, tip_mm=true, count=8, gain_error=gain_error)
+    notes = fitted(presses, ARRAY, thickness, Tip(measured)).notes
     assert notes[0].startswith(note)
     assert any("those of a tip of" in each for each in notes) == bool(note)
 
 
 def test_gains_that_nobody_calibrated_widen_the_interval():
-    array = grid(12, 12, 1.0)
-    presses, _ = pressed(array, 1.1, seed=5, count=8, gain_error=0.2)
-    wide = fitted(presses, array, 1.1, Tip(1.6, 0.0), gain_error=0.2)
-    even, _ = pressed(array, 1.1, seed=5, count=8, gain_error=0.0)
-    narrow = fitted(even, array, 1.1, Tip(1.6, 0.0), gain_error=0.0)
+    presses, _ = pressed(ARRAY, 1.1, seed=5, count=8, gain_error=0.2)
+    wide = fitted(presses, ARRAY, 1.1, Tip(1.6, 0.0), gain_error=0.2)
+    even, _ = pressed(ARRAY, 1.1, seed=5, count=8, gain_error=0.0)
+    narrow = fitted(even, ARRAY, 1.1, Tip(1.6, 0.0), gain_error=0.0)
     assert wide.interval[1] - wide.interval[0] > 2 * (narrow.interval[1] - narrow.interval[0])
     assert wide.interval_mm[0] < 1.1 < wide.interval_mm[1]
-    wrong = fitted(presses, array, 1.1, Tip(1.6, 0.0), gain_error=0.01)  # taken for calibrated
+    wrong = fitted(presses, ARRAY, 1.1, Tip(1.6, 0.0), gain_error=0.01)  # taken for calibrated
     assert wrong.residual > 3
     assert "is the gain of the taxels calibrated?" in wrong.notes[0]
 
@@ -124,15 +122,15 @@ def test_a_press_of_something_else_is_put_aside_and_places_may_be_known():
 
 
 def test_dead_taxels_that_nobody_listed_are_left_out_and_named():
-    array, random = grid(12, 12, 1.0), np.random.default_rng(3)
-    world = world_of(array, 1.0)
+    random = np.random.default_rng(3)
+    world = world_of(ARRAY, 1.0)
     places = world.places(12, random)
-    tips = np.array([world.tip(0.8, each) for each in places])
-    dead = {int(np.linalg.norm(array.positions - each, axis=1).argmin()) for each in places[:3]}
+    tips = np.ARRAY([world.tip(0.8, each) for each in places])
+    dead = {int(np.linalg.norm(ARRAY.positions - each, axis=1).argmin()) for each in places[:3]}
     tips[:, list(dead)] = 0
     counts = np.round(recorded(tips, random, noise=0.5) / 0.05 + 100)
     series, calibration = FrameSeries(np.arange(len(counts)) / 100, counts), Calibration(0.05, 100)
-    fit = fit_touch(RecordedTouch(series, array, rubber(CONFIGURED), calibration, (0, 4095)), "tip", 1.6)
+    fit = fit_touch(RecordedTouch(series, ARRAY, rubber(CONFIGURED), calibration, (0, 4095)), "tip", 1.6)
     assert fit.reason == ""
     assert fit.thickness_mm == pytest.approx(1.0, rel=0.02)
     advice = "feels nothing where its neighbours do and is left out: list it as dead"
@@ -163,9 +161,8 @@ def test_the_bend_of_the_curves_is_known_as_their_calibration_says_within_its_ra
 
 @pytest.mark.parametrize("tip_mm", [0.5, 4.0])
 def test_taxels_beside_a_press_are_not_dead(tip_mm):
-    array = grid(12, 12, 1.0)
-    presses, _ = pressed(array, 0.3, tip_mm=tip_mm, gain_error=0.2, dead=0.0)
-    assert without_dead(presses, array)[1] == []
+    presses, _ = pressed(ARRAY, 0.3, tip_mm=tip_mm, gain_error=0.2, dead=0.0)
+    assert without_dead(presses, ARRAY)[1] == []
 
 
 def test_gains_come_first_where_presses_do_not_tell():
@@ -173,9 +170,8 @@ def test_gains_come_first_where_presses_do_not_tell():
 
 
 def test_notes_say_what_modulus_and_compressibility_do_and_nothing_of_the_right_tip():
-    array = grid(12, 12, 1.0)
-    presses, _ = pressed(array, 1.0, seed=7, count=8)
-    notes = fitted(presses, array, 1.0, Tip(1.6)).notes
+    presses, _ = pressed(ARRAY, 1.0, seed=7, count=8)
+    notes = fitted(presses, ARRAY, 1.0, Tip(1.6)).notes
     assert any(note.startswith("the cover's Young's modulus does not matter") for note in notes)
     assert not any("those of a tip of" in note for note in notes)
 
