@@ -125,7 +125,7 @@ def test_dead_taxels_that_nobody_listed_are_left_out_and_named():
     random = np.random.default_rng(3)
     world = world_of(ARRAY, 1.0)
     places = world.places(12, random)
-    tips = np.ARRAY([world.tip(0.8, each) for each in places])
+    tips = np.array([world.tip(0.8, each) for each in places])
     dead = {int(np.linalg.norm(ARRAY.positions - each, axis=1).argmin()) for each in places[:3]}
     tips[:, list(dead)] = 0
     counts = np.round(recorded(tips, random, noise=0.5) / 0.05 + 100)
