@@ -151,9 +151,9 @@ def grasps(thicknesses=(0.5, 1.0), seconds=60.0, side=24):
             yield Scenario(f"{name}, t/pitch {thickness:g}", thickness, noise, frames, SLOW_HZ)
 
 
-def false_positives(tours=4, seconds=60.0, seed=1, gains_measured=(False, True)):
+def false_positives(tours, seconds, seed):
     """(scenario, taxel-frames, false positives) of healthy arrays: gains spread by 20 %, unknown or measured."""
-    both = ((calibrated, each) for calibrated in gains_measured for each in scenarios(tours, seconds))
+    both = ((calibrated, each) for calibrated in (False, True) for each in scenarios(tours, seconds))
     for number, (calibrated, scenario) in enumerate(both):
         yield false_alarms(scenario, [seed, number], calibrated)
 
