@@ -11,6 +11,7 @@ from axe_playwright_python.base import AXE_SCRIPT
 from PIL import Image
 from playwright.sync_api import sync_playwright
 
+from tactiled.web.rest import openapi
 from tactiled.web.server import running
 from tests.conftest import BUSY_S, CONFIG, Rig, meanwhile, pressed, until
 
@@ -169,6 +170,21 @@ def launch():
         yield launch
         for browser in browsers:
             browser.close()
+
+
+@pytest.fixture(scope="session", autouse=True)
+def descriptions():
+    """Of each kind of service one: every page asks for it, and to make one takes a tenth of a second."""
+    made, complete = {}, openapi.complete
+
+    def once(app, guarded):
+        make = complete(app, guarded)
+        kind = guarded, len(app.routes)  # with recordings or without
+        return lambda: made.get(kind) or made.setdefault(kind, make())
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(openapi, "complete", once)
+        yield
 
 
 @pytest.fixture(scope="session")
