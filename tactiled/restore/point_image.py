@@ -23,6 +23,10 @@ class PointLoads(NamedTuple):
     width: float  # variance of the square of what all loads' spread has in common
     noise: float  # share of these variances that is the noise's
 
+    def inside(self, shape: tuple[int, ...]) -> float:
+        """Give how far inside the outermost of R x C taxels all loads are, in pitches, at least."""
+        return float(np.minimum(self.places, np.array(shape) - 1 - self.places).min())
+
 
 class PointImage:
     """Draws loads on a surface of `refine` cells a pitch; `image` is valid until the next."""
