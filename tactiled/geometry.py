@@ -226,15 +226,6 @@ def _square_side(array: Array) -> float:
     return float(side)
 
 
-def squares(raster: Raster, parts: int) -> Cells:
-    """Give all cells of a raster, each made of parts x parts squares."""
-    rows, columns = raster.shape
-    y, x = np.mgrid[: parts * rows, : parts * columns]
-    corner = raster.corner - raster.side / 2
-    pieces = np.column_stack([x.ravel() + 0.5, y.ravel() + 0.5]) * raster.side / parts + corner
-    return Cells(pieces, raster.side / parts, (y // parts * columns + x // parts).ravel())
-
-
 def spacing(array: Array) -> float:
     """Give the distance (mm) between neighbours: of a layout the median of what is around each taxel."""
     return array.pitch if array.shape is not None else float(np.median(spacings(array)))

@@ -5,18 +5,17 @@ from functools import partial
 import numpy as np
 
 from tactiled.cover.kernel import Kernel
-from tactiled.cover.operator import cached, stencil, tiled
+from tactiled.cover.operator import cached, felt, stencil
 from tactiled.cover.stack import Stack
 from tactiled.cover.tangential import responses
 from tactiled.errors import ConfigError
-from tactiled.geometry import Array, Raster, grid, raster, spacing, squares
+from tactiled.geometry import Array, Raster, grid, raster, spacing
 from tactiled.restore.blur import Blur, GridBlur, MatrixBlur, Wide
 from tactiled.restore.traction import Coupled
 
 BEYOND = 2  # pitches that the surface reaches beyond the taxels: with 3 or 4 errors grow again
 THIN_BEYOND, THIN_PITCHES = 1, 0.75  # the same under a cover that is thinner than so many pitches
 APERTURE = 0.8  # of a cell: what the model has on each where the taxels are elsewhere, as in training
-PARTS = 4  # squares along a cell, of which a taxel elsewhere feels each
 CELLS_A_PITCH = 2  # where the taxels are no grid
 MIN_THICKNESSES = 3.0  # of the cover, along a skin's shorter side, from which on pressure is told from shear there
 MAX_BEYOND_VALUES = 1 << 22  # of a grid: taxels beyond it times its own, as 64 x 64 have
@@ -108,11 +107,11 @@ def _around(kernel: Kernel, array: Array, refine: int, sides: list[int]) -> Matr
     above, below, left, right = (refine * each for each in sides)
     taxel = np.pad(image.taxel, ((above, below), (left, right)), constant_values=-1)
     surface = Raster(image.corner - image.side * np.array([left, above]), image.side, taxel)
-    felt = cached(tiled, kernel, array, squares(surface, PARTS))
+    matrix = cached(felt, kernel, array, surface)
     rows, columns = image.shape
     own = slice(above, above + rows), slice(left, left + columns)
-    blur = MatrixBlur(felt.reshape(-1, *surface.shape)[:, *own], image.side, refine, image.taxel)
-    blur.wide = Wide(_raster_blur(kernel, surface.shape, image.side), own, felt)
+    blur = MatrixBlur(matrix.reshape(-1, *surface.shape)[:, *own], image.side, refine, image.taxel)
+    blur.wide = Wide(_raster_blur(kernel, surface.shape, image.side), own, matrix)
     return blur
 
 

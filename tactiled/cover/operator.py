@@ -16,7 +16,7 @@ from scipy.special import j1
 from tactiled.arrays import Floats
 from tactiled.cover.cache import cached_table
 from tactiled.cover.kernel import Kernel
-from tactiled.geometry import Array, Cells
+from tactiled.geometry import Array, Raster
 
 BAND_RATIO = 4.0  # of neighbouring bands' cut-offs
 GAUSSIAN_END = 4.6  # where exp(-x^2) is as good as 0 (1e-9)
@@ -28,6 +28,8 @@ CODE = (  # a cached table of other code is not ours
     scipy.__version__,
     *(each.read_bytes() for each in sorted(Path(__file__).parent.glob("*.py"))),
 )
+PARTS = 4  # squares along a cell
+STEPS = 4  # along a square, in which responses are tabulated: with one, thin covers sum to 0.9
 MAX_CYCLES = 1000.0  # a cell or, if wider, its mean with the aperture, beyond which they leave 1e-7 of the peak
 
 
@@ -52,37 +54,53 @@ def matrix(kernel: Kernel, array: Array, cells: Floats, side: float) -> Floats:
     return np.asarray(table[row.reshape(offsets.shape[:2]), column.reshape(offsets.shape[:2])])
 
 
-def tiled(kernel: Kernel, array: Array, cells: Cells) -> Floats:
-    """Give (N, M): the mean pressure on every taxel for unit pressure on each of `cells`, however they are shaped.
+def felt(kernel: Kernel, array: Array, surface: Raster) -> Floats:
+    """Give (N, R C): the mean pressure on every taxel for unit pressure on one cell of a surface (R, C).
 
-    The response to one of their squares is tabulated in steps of it and interpolated; cover and aperture keep it
-    smooth.
+    Taxels may lie anywhere on the cells. So pressure within a cell follows the slope between its neighbours, about
+    the cell's own; with steps between cells the frame would not fit. The response to one of a cell's PARTS x
+    PARTS squares is tabulated in steps of it and interpolated; cover and aperture keep it smooth.
     """
-    span = np.ptp(np.concatenate([array.positions, cells.pieces]), axis=0)
-    x, y = (np.asarray(np.arange(int(end / cells.side) + 5) * cells.side, float) for end in span)
-    table = RectBivariateSpline(y, x, _response(kernel, array, cells.side, x, y))
-    (across, column), (down, row) = (np.unique(each, return_inverse=True) for each in cells.pieces.T)
-    response = np.empty((array.size, len(cells.areas)))
+    side = surface.side / PARTS
+    across, down = (
+        corner + ((np.arange(PARTS * n) + 0.5) / PARTS - 0.5) * surface.side
+        for corner, n in zip(surface.corner, reversed(surface.shape), strict=True)
+    )
+    span = [np.ptp([*line, *places]) for line, places in zip((across, down), array.positions.T, strict=True)]
+    step = side / STEPS
+    x, y = (np.asarray(np.arange(int(end / step) + 5) * step, float) for end in span)
+    table = RectBivariateSpline(y, x, _response(kernel, array, side, x, y))
+    rows, columns = (_lines(n) for n in surface.shape)
+    response = np.empty((array.size, surface.taxel.size))
     for taxel, (middle_x, middle_y) in enumerate(array.positions):
         (offset_y, of_y), (offset_x, of_x) = (
             np.unique(np.abs(line - middle), return_inverse=True)
             for line, middle in ((down, middle_y), (across, middle_x))
         )
-        response[taxel] = np.bincount(cells.owner, table(offset_y, offset_x)[of_y[row], of_x[column]])
+        squares = table(offset_y, offset_x)[of_y][:, of_x]
+        response[taxel] = (rows.T @ squares @ columns).ravel()
     return response
+
+
+def _lines(n: int) -> Floats:
+    """Give (PARTS n, n): the pressure on parts of n cells in a row, along lines that keep each cell's mean."""
+    cells = np.eye(n)
+    slopes = (np.vstack([cells[1:], cells[-1:]]) - np.vstack([cells[:1], cells[:-1]])) / 2
+    offsets = (np.arange(PARTS) + 0.5) / PARTS - 0.5
+    return np.asarray((cells[:, None] + offsets[:, None] * slopes[:, None]).reshape(PARTS * n, n))
 
 
 def cached(
     make: Callable[..., Floats],
     kernel: Kernel,
     array: Array,
-    more: int | Cells,
+    more: int | Raster,
     folder: Path | None = None,
 ) -> Floats:
     """Give make(kernel, array, more), from `folder` (by default the user's cache) where it is already there."""
     cover = make.__name__, kernel.q, kernel.gain
     taxels = array.positions, array.shape, array.pitch, array.width, array.aperture
-    cells = (more.pieces, more.side, more.owner) if isinstance(more, Cells) else (more,)
+    cells = (more.corner, more.side, more.shape) if isinstance(more, Raster) else (more,)
     return cached_table(folder, (*CODE, *cover, *taxels, *cells), lambda: make(kernel, array, more))
 
 

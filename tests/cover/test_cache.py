@@ -16,9 +16,9 @@ from tactiled.cover import kernel as kernels
 from tactiled.cover import operator
 from tactiled.cover.cache import cached_table
 from tactiled.cover.kernel import solve
-from tactiled.cover.operator import cached, stencil, tiled
+from tactiled.cover.operator import cached, felt, stencil
 from tactiled.cover.stack import Layer, Profile, Stack
-from tactiled.geometry import grid, layout, raster, tiling
+from tactiled.geometry import grid, layout, raster
 
 TABLE = np.arange(6.0).reshape(2, 3) / 7
 
@@ -154,8 +154,8 @@ def test_every_operator_has_a_table_of_its_own(paper, tmp_path):
         (stencil, kernel, array, 1),
         (stencil, solve(paper(0.3), "layered"), array, 2),
         (stencil, replace(kernel, gain=kernel.gain * 0.99), array, 2),
-        (tiled, kernel, loose, tiling(loose)),
-        (tiled, kernel, loose, replace(tiling(loose), side=0.02)),
+        (felt, kernel, loose, raster(loose, 2)),
+        (felt, kernel, loose, replace(raster(loose, 2), side=0.02)),
     ]
     for _ in range(2):
         for make, *each in inputs:

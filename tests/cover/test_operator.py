@@ -2,8 +2,8 @@ import numpy as np
 import pytest
 
 from tactiled.cover.kernel import solve
-from tactiled.cover.operator import matrix, stencil, tiled
-from tactiled.geometry import grid, layout, tiling
+from tactiled.cover.operator import felt, matrix, stencil
+from tactiled.geometry import Raster, grid, layout
 
 
 @pytest.mark.parametrize("ratio", [0.05, 0.5, 1.0, 3.0])
@@ -36,13 +36,14 @@ def test_layout_is_symmetric(paper):
     np.testing.assert_allclose(dense, dense.T, atol=1e-15)
 
 
-def test_cells_of_any_layout_cover_it_as_squares_cover_a_grid(paper):
+@pytest.mark.parametrize("aperture", [0.1, 0.25])
+def test_taxels_between_cells_feel_pressure_that_rises_evenly_as_squares_show_it(paper, aperture):
     kernel = solve(paper(), "layered")
-    square = grid(5, 4, 0.3, 0.2)
-    of_squares = tiled(kernel, square, tiling(square))
-    np.testing.assert_allclose(of_squares, matrix(kernel, square, square.positions, 0.3), atol=1e-9)
-    jitter = np.random.default_rng(2).uniform(-0.06, 0.06, (169, 2))
-    array = layout(np.column_stack([each.ravel() for each in np.mgrid[:13, :13]]) * 0.3 + jitter, 0.1)
-    sensed = tiled(kernel, array, tiling(array)).sum(axis=1)  # under 1 kPa all over
-    inside = (np.abs(array.positions - 1.8) < 0.6).all(axis=1)
-    assert sensed[inside] == pytest.approx(1, abs=0.025)  # less what lies outside the layout
+    moves = np.random.default_rng(2).uniform(-0.1, 0.1, (9, 2))
+    array = layout(3 + 0.6 * np.indices((3, 3)).reshape(2, -1).T + moves, aperture)
+    surface = Raster(np.full(2, 0.15), 0.3, np.full((24, 24), -1))
+    x, y = surface.positions.T
+    felt_of_cells = felt(kernel, array, surface) @ (5 + 0.7 * x - 0.3 * y)
+    fine = Raster(np.full(2, 0.025), 0.05, np.full((144, 144), -1)).positions
+    exact = matrix(kernel, array, fine, 0.05) @ (5 + fine @ [0.7, -0.3])
+    np.testing.assert_allclose(felt_of_cells, exact, rtol=1e-4)
