@@ -66,10 +66,11 @@ def test_a_recording_plays_is_sought_and_stepped_through_and_the_live_view_is_ba
     page = open_page(url)
     page.locator("#tare").wait_for()
     assert not page.locator("#series-measure").is_visible()
+    assert page.locator("#series-measure").is_disabled()  # nothing can be measured before there is a frame
     open_recording(page)
     for name in ("#tare", "#record", "#calibrate-open", "#banner", "#latencies"):
         assert not page.locator(name).is_visible(), name
-    assert page.locator("#series-measure").is_visible()
+    assert page.locator("#series-measure").is_enabled()
     page.wait(f"{WHEN} === '0:00.0 / 0:01.0'")
     assert page.get_by_role("button", name="Play", exact=True).get_attribute("title") == "Play (space)"
     page.get_by_role("img", name=re.compile("raw and restored$")).wait_for()  # no band: that is live

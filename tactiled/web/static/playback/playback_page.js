@@ -195,6 +195,7 @@ export class PlaybackPage {
     byId("recorded").hidden = this.recording === "";
     setText(byId("recorded-name"), this.recording);
     setText(byId("recorded-text"), session ? describe(session.recorded) : "reading …");
+    /** @type {HTMLButtonElement} */ (byId("series-measure")).disabled = !session;
     const curve = session && this._series.curve;
     if (curve !== this._curve) this._viewer.refresh();
     this._curve = curve;
