@@ -5,7 +5,7 @@ import random
 
 import numpy as np
 
-from tests.attack.harness import Try
+from tests.attack.harness import Try, late_s
 from tests.attack.service import CONTROL, READ
 from tests.attack.wire import request, upgrade
 from tests.web.http.raw import npy
@@ -78,7 +78,8 @@ def bodies(_):
         ("GET", READ, lambda ending: ending.status in (404, 422)),  # as another attack left a file
     ):
         head = request(f"{verb} /api/v1/sensors/palm0/calibration/file", "Content-Length: 8000000", token=token)
-        tries = Try(verb, [head, bytes(1 << 20)], 2.0, ends=verb == "GET", expect=expect)
+        ends = verb == "GET"
+        tries = Try(verb, [head, bytes(1 << 20)], late_s("head") if ends else 2.0, ends=ends, expect=expect)
         yield from [tries] * 120
 
 

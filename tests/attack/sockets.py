@@ -94,7 +94,7 @@ def trailers(_):
     }
     for name, head in heads.items():
         pieces = chain([head + b"0\r\n"], repeat(piece, TRAILERS_BYTES // len(piece)))
-        yield Try(name, pieces, 2.0, send_s=TRAILERS_S, port="xela" if "XELA" in name else "port")
+        yield Try(name, pieces, late_s("refused"), send_s=TRAILERS_S, port="xela" if "XELA" in name else "port")
 
 
 def _hello():

@@ -346,9 +346,11 @@ def test_wrong_files_are_refused_and_nothing_is_written(tmp_path, config, lossy)
 
 
 @contextmanager
-def full_disk(size):
-    """A disk that takes files of so many bytes at most."""
+def full_disk(size, monkeypatch):
+    """A disk that takes files of so many bytes at most; Python would put cut ones into its cache of bytecode."""
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    monkeypatch.setattr(sys, "dont_write_bytecode", True)
+    monkeypatch.setenv("PYTHONDONTWRITEBYTECODE", "1")
     resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
     try:
         yield
@@ -393,9 +395,9 @@ def test_an_export_whose_files_change_meanwhile_is_refused(
 @pytest.mark.parametrize(
     ("ending", "size"), [("npz", 50_000), ("mcap", 20_000), ("parquet", 1000), ("csv", 10_000), ("rrd", 10_000)]
 )
-def test_a_full_disk_is_one_line_and_leaves_nothing(tmp_path, config, lossy, ending, size):
+def test_a_full_disk_is_one_line_and_leaves_nothing(tmp_path, config, lossy, monkeypatch, ending, size):
     before = sorted(tmp_path.iterdir())
-    with full_disk(size):
+    with full_disk(size, monkeypatch):
         line = refusal("export", lossy, "--config", config, "-o", tmp_path / f"a.{ending}")
     assert "nothing is written" in line
     assert "File too large" in line or ending == "rrd"
@@ -406,8 +408,8 @@ def test_a_full_disk_is_one_line_and_leaves_nothing(tmp_path, config, lossy, end
 def test_a_full_disk_under_hdf5_is_one_line_and_leaves_nothing(tmp_path, config, lossy, size_kb):
     """In a process of its own: HDF5 does not work as before in one in which a file of it could not be closed."""
     before = sorted(tmp_path.iterdir())
-    command = "bash", "-c", f'ulimit -f {size_kb} && exec "$@"', "-", *TACTILED, "export", lossy
-    command += "--config", config, "-o", tmp_path / "a.h5"
+    command = "env", "PYTHONDONTWRITEBYTECODE=1", "bash", "-c", f'ulimit -f {size_kb} && exec "$@"', "-", *TACTILED
+    command += "export", lossy, "--config", config, "-o", tmp_path / "a.h5"
     done = subprocess.run(command, capture_output=True, text=True, timeout=4 * BUSY_S)
     assert (done.returncode, len(done.stderr.splitlines())) == (2, 1), done.stderr
     assert "File too large: nothing is written" in done.stderr
