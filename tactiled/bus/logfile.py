@@ -186,7 +186,7 @@ def duration_s(path: Path) -> float | None:
         return None
     if kind == ".blf" and head.startswith(b"LOGG") and len(head) > blf.FILE_HEADER_STRUCT.size:
         dates = blf.FILE_HEADER_STRUCT.unpack_from(head)[-16:]
-        times = [blf.systemtime_to_timestamp(each) for each in (dates[:8], dates[8:]) if each[0]]  # years
+        times = [at for each in (dates[:8], dates[8:]) if (at := blf.systemtime_to_timestamp(each))]  # 0: no date
     elif kind in LINE_TIMES:
         starts, ends = (LINE_TIMES[kind].findall(each) for each in (head, tail))
         times = [float(each) for each in (*starts[:1], *ends[-1:])]

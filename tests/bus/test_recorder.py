@@ -3,6 +3,7 @@ import os
 import re
 import socket
 import time
+from contextlib import closing
 from threading import Event
 from types import SimpleNamespace
 
@@ -53,6 +54,18 @@ def numbers(path):
     counts = [int.from_bytes(each.data, "big") for each in messages]
     assert not messages.torn or path.name.endswith(".gz")
     return counts
+
+
+@pytest.mark.parametrize("at", [40, 56])  # of the years in which it begins and ends
+def test_a_recording_without_a_date_has_no_duration(tmp_path, at):
+    path = tmp_path / "a.blf"
+    with closing(Recorder(path)) as recorder:
+        recorder.put(MESSAGES[0])
+        recorder.put(MESSAGES[-1])
+    head = bytearray(path.read_bytes())
+    head[at + 2] = 13  # the month
+    path.write_bytes(head)
+    assert duration_s(path) is None
 
 
 @pytest.mark.parametrize("ending", [*WRITERS, ".LOG", ".BLF"])
