@@ -7,7 +7,8 @@ and the next frame after its answer.
 
 Python's `websockets` answers pings before the program has read what came before them. But it reads no further
 ahead than QUEUE WebSocket frames. So an image that nobody requested goes in as many frames as fill that queue
-within BEHIND_S at the rate at which images are sent: many for a slow client, one for a quick one.
+within BEHIND_S at the rate at which images are sent: many for a slow client, one for a quick one. Where the images
+of one frame fill it together, their ping comes APART_S later.
 """
 
 import asyncio
@@ -28,7 +29,7 @@ MAX_UNANSWERED = 2  # pings: at most PING_EVERY * MAX_UNANSWERED messages are on
 LATE_S = 0.1  # an answer after so long is late: the client is slow, or far away
 QUEUE = 16  # frames
 BEHIND_S = 0.2
-APART_S = 0.05  # from an image that fills the queue to the ping behind it
+APART_S = 0.05  # from images that fill the queue to the ping behind them
 SHARE = 1 / 8  # of the newest period in the mean one
 CONTINUED, LAST = b"\x00\x00", b"\x80\x00"  # frames of a message, without data
 MARK = b"tactiled"  # of these pings
@@ -87,7 +88,7 @@ class PacedWebSocket(WebSocket):
             if strict or len(waiting) >= MAX_UNANSWERED:
                 self._keeps_up.clear()
             ping = PING + self._pings.to_bytes(8, "big")
-            if fills:  # a ping that came with the image would be answered before the queue is found full
+            if fills:  # a ping that came with the images would be answered before the queue is found full
                 asyncio.get_running_loop().call_later(APART_S, self._ping, ping)
             else:
                 self.transport.write(ping)
