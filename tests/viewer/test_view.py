@@ -10,6 +10,7 @@ from tests.conftest import Rig, ask, meanwhile, pressed
 from tests.viewer.conftest import CONTACTS, DESK, PAINTINGS, PAUSED, PHONE, SCROLL_WIDTH, TOUCH, WATCH_TEXTS
 
 ABOVE = (0, 229, 255)
+FRAMES = "['raw-frame', 'restored-frame'].map(id => document.getElementById(id).getBoundingClientRect().toJSON())"
 
 
 def colors_of(url, name):
@@ -63,7 +64,7 @@ def test_an_address_keeps_a_view_of_the_difference_and_on_the_slider_raw_ends_wh
     page.get_by_label("View").select_option("slider")
     for size in (DESK, PHONE):
         page.resize(**size)
-        raw, restored = page.box("#raw-frame"), page.box("#restored-frame")
+        raw, restored = page.evaluate(FRAMES)  # at one moment: a line above them comes and goes
         assert raw == restored
         assert raw["width"] > 150
         for share in (25, 75):
