@@ -5,7 +5,7 @@ from functools import partial
 import numpy as np
 
 from tactiled.cover.kernel import Kernel
-from tactiled.cover.operator import cached, felt, stencil
+from tactiled.cover.operator import cached, stencil, surface_matrix
 from tactiled.cover.stack import Stack
 from tactiled.cover.tangential import responses
 from tactiled.errors import ConfigError
@@ -107,11 +107,11 @@ def _around(kernel: Kernel, array: Array, refine: int, sides: list[int]) -> Matr
     above, below, left, right = (refine * each for each in sides)
     taxel = np.pad(image.taxel, ((above, below), (left, right)), constant_values=-1)
     surface = Raster(image.corner - image.side * np.array([left, above]), image.side, taxel)
-    matrix = cached(felt, kernel, array, surface)
+    felt = cached(surface_matrix, kernel, array, surface)
     rows, columns = image.shape
     own = slice(above, above + rows), slice(left, left + columns)
-    blur = MatrixBlur(matrix.reshape(-1, *surface.shape)[:, *own], image.side, refine, image.taxel)
-    blur.wide = Wide(_raster_blur(kernel, surface.shape, image.side), own, matrix)
+    blur = MatrixBlur(felt.reshape(-1, *surface.shape)[:, *own], image.side, refine, image.taxel)
+    blur.wide = Wide(_raster_blur(kernel, surface.shape, image.side), own, felt)
     return blur
 
 

@@ -178,20 +178,19 @@ def duration_s(path: Path) -> float | None:
     They do not in a file that is packed or has times since the message before, nor in a .blf before its end.
     """
     kind, packed = _kind(path)
+    if packed or kind not in (".blf", *LINE_TIMES):
+        return None
     with path.open("rb") as file:
         head = file.read(END_BYTES)
         file.seek(max(0, file.seek(0, io.SEEK_END) - END_BYTES))
         tail = file.read(END_BYTES)
-    if packed or b" relative" in head:
-        return None
+    times = []
     if kind == ".blf" and head.startswith(b"LOGG") and len(head) > blf.FILE_HEADER_STRUCT.size:
         dates = blf.FILE_HEADER_STRUCT.unpack_from(head)[-16:]
         times = [at for each in (dates[:8], dates[8:]) if (at := blf.systemtime_to_timestamp(each))]  # 0: no date
-    elif kind in LINE_TIMES:
+    elif kind in LINE_TIMES and b" relative" not in head:
         starts, ends = (LINE_TIMES[kind].findall(each) for each in (head, tail))
         times = [float(each) for each in (*starts[:1], *ends[-1:])]
-    else:
-        return None
     return times[1] - times[0] if len(times) == 2 and times[0] <= times[1] else None
 
 

@@ -54,7 +54,7 @@ def matrix(kernel: Kernel, array: Array, cells: Floats, side: float) -> Floats:
     return np.asarray(table[row.reshape(offsets.shape[:2]), column.reshape(offsets.shape[:2])])
 
 
-def felt(kernel: Kernel, array: Array, surface: Raster) -> Floats:
+def surface_matrix(kernel: Kernel, array: Array, surface: Raster) -> Floats:
     """Give (N, R C): the mean pressure on every taxel for unit pressure on one cell of a surface (R, C).
 
     Taxels may lie anywhere on the cells. So pressure within a cell follows the slope between its neighbours, about

@@ -22,7 +22,7 @@ from tactiled.restore.wiener import Filter, Wiener
 WORTH = 0.005  # 0.02 spares 4 % of the time, and in 0.2 % noise costs a sixth more error
 RAW_WORTH = 0.02  # the same for the raw image: below that no model of a thin cover is right often enough
 SUM_SIGMAS = 4.0  # standard deviations of a sum over taxels that count as more than noise
-MIN_INSIDE = 1.0  # pitches from the outermost taxels: nearer, a wide contact that goes on beyond fits as well
+MIN_MARGIN = 1.0  # pitches from loads to the outermost taxels: nearer, a wide contact beyond them fits as well
 FIRST_SIGMAS = 1e4  # standard deviations of a load that is restored before any frame
 
 IDLE = "no contact above the noise"
@@ -105,7 +105,7 @@ class Auto:
         done = sharp(linear)
         steps = self.loads(y, self._scene.inside(sharp.image))
         found = self.loads.loads if steps else None
-        if found and found.inside(self._scene.array.frame_shape) >= MIN_INSIDE:
+        if found and found.margin(self._scene.array.frame_shape) >= MIN_MARGIN:
             drawing, why = self.loads.drawing, LOADS.format(len(found.force))
             return Restored(drawing.image, "points", why, done + steps, drawing.noise_gain, resolution)
         gain = pressed_noise_gain(self._scene.inside(sharp.image), self._wiener.noise_gain)

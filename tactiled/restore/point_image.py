@@ -23,8 +23,8 @@ class PointLoads(NamedTuple):
     width: float  # variance of the square of what all loads' spread has in common
     noise: float  # share of these variances that is the noise's
 
-    def inside(self, shape: tuple[int, ...]) -> float:
-        """Give how far inside the outermost of R x C taxels all loads are, in pitches, at least."""
+    def margin(self, shape: tuple[int, ...]) -> float:
+        """Give the least distance (pitches) of a load to the outermost of R x C taxels; negative beyond them."""
         return float(np.minimum(self.places, np.array(shape) - 1 - self.places).min())
 
 

@@ -16,7 +16,7 @@ from tactiled.cover import kernel as kernels
 from tactiled.cover import operator
 from tactiled.cover.cache import cached_table
 from tactiled.cover.kernel import solve
-from tactiled.cover.operator import cached, felt, stencil
+from tactiled.cover.operator import cached, stencil, surface_matrix
 from tactiled.cover.stack import Layer, Profile, Stack
 from tactiled.geometry import grid, layout, raster
 
@@ -154,8 +154,8 @@ def test_every_operator_has_a_table_of_its_own(paper, tmp_path):
         (stencil, kernel, array, 1),
         (stencil, solve(paper(0.3), "layered"), array, 2),
         (stencil, replace(kernel, gain=kernel.gain * 0.99), array, 2),
-        (felt, kernel, loose, raster(loose, 2)),
-        (felt, kernel, loose, replace(raster(loose, 2), side=0.02)),
+        (surface_matrix, kernel, loose, raster(loose, 2)),
+        (surface_matrix, kernel, loose, replace(raster(loose, 2), side=0.02)),
     ]
     for _ in range(2):
         for make, *each in inputs:

@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from tactiled.cover.kernel import solve
-from tactiled.cover.operator import felt, matrix, stencil
+from tactiled.cover.operator import matrix, stencil, surface_matrix
 from tactiled.geometry import Raster, grid, layout
 
 
@@ -43,7 +43,7 @@ def test_taxels_between_cells_feel_pressure_that_rises_evenly_as_squares_show_it
     array = layout(3 + 0.6 * np.indices((3, 3)).reshape(2, -1).T + moves, aperture)
     surface = Raster(np.full(2, 0.15), 0.3, np.full((24, 24), -1))
     x, y = surface.positions.T
-    felt_of_cells = felt(kernel, array, surface) @ (5 + 0.7 * x - 0.3 * y)
+    felt_of_cells = surface_matrix(kernel, array, surface) @ (5 + 0.7 * x - 0.3 * y)
     fine = Raster(np.full(2, 0.025), 0.05, np.full((144, 144), -1)).positions
     exact = matrix(kernel, array, fine, 0.05) @ (5 + fine @ [0.7, -0.3])
     np.testing.assert_allclose(felt_of_cells, exact, rtol=1e-4)
