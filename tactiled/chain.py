@@ -14,7 +14,7 @@ from tactiled.calibrate.counts.tare import Zero, below_zero
 from tactiled.contacts.felt import shares, unknown_cells
 from tactiled.diagnostics.checks import FrameChecks
 from tactiled.diagnostics.warning_codes import WarningCode, warning
-from tactiled.frames import BELOW_ZERO, FLAG_BITS, SATURATED, UNKNOWN, FrameWarning, Image, RawFrame
+from tactiled.frames import BELOW_ZERO, FLAG_BITS, SATURATED, UNKNOWN, FrameWarning, RawFrame, SensorImage
 from tactiled.restore.methods import NO_DATA, Restorer, make
 from tactiled.restore.noise import noise_ratio
 from tactiled.restore.scene import Restored, never
@@ -160,13 +160,13 @@ class Chain:
         """
         return self._checks(raw, doubtful, done.image, self.noise, done.method, self._restorer.predicted)
 
-    def check(self, image: Image) -> tuple[WarningCode, ...]:
+    def check(self, image: SensorImage) -> tuple[WarningCode, ...]:
         """Compare the image restored last, which has no unknown cell, with its frame: what this one shows."""
         doubtful, predict = self.doubtful(image.flags), self._restorer.predicted
         raw = _less(image.raw, image.tilt)
         return self._checks.check(raw, doubtful, image.restored, self.noise, image.method, predict)
 
-    def image(self, frame: RawFrame, raw: Floats32, flags: Flags, done: Restored, **others: Any) -> Image:
+    def image(self, frame: RawFrame, raw: Floats32, flags: Flags, done: Restored, **others: Any) -> SensorImage:
         """The image of a frame as it was restored; `others` are the fields that nothing here has."""
         (restored, share), load = self.known(done.image, flags), self._load
         loads: dict[str, Any] = {}
@@ -175,7 +175,7 @@ class Chain:
             drawn = (np.where(unknown, np.float32(np.nan), each) for each in (load.traction, load.deviation))
             tilt = load.pressure.reshape(raw.shape).astype(np.float32)
             loads = dict(zip(("traction", "traction_deviation", "tilt"), (*drawn, tilt), strict=True))
-        return Image(
+        return SensorImage(
             sensor=self.plan.name,
             sequence=frame.sequence,
             time=frame.time,
@@ -206,11 +206,11 @@ class Chain:
         tared[:, flags.ravel() & UNKNOWN > 0] = np.nan
         return tared.reshape((2, *flags.shape))
 
-    def deviation(self, image: Image) -> Floats32:
+    def deviation(self, image: SensorImage) -> Floats32:
         """Standard deviation of every cell of `image.restored`, this chain's newest, in its unit; any thread."""
         return np.asarray(self._own(self.surface(image))[1])
 
-    def surface(self, image: Image) -> Floats32:
+    def surface(self, image: SensorImage) -> Floats32:
         """Restored pressure and its deviation (2, R, C), with what lies beyond the array; as of `deviation`."""
         wanted_by = self._method, image.noise
         with self._deviation_lock:

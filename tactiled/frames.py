@@ -1,6 +1,6 @@
 """The values that pass from the bus to the browser, or to a calibration.
 
-None is changed once it is made. RawFrame and Image are not frozen: that would cost 4 µs in every frame.
+None is changed once it is made. RawFrame and SensorImage are not frozen: that would cost 4 µs in every frame.
 """
 
 from collections.abc import Sequence
@@ -113,7 +113,7 @@ class StageTimes(NamedTuple):
 
 
 @dataclass(slots=True, eq=False)
-class Image:
+class SensorImage:
     """One frame of pressures, as measured and as restored, with everything known against it."""
 
     sensor: str

@@ -7,7 +7,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from tactiled.frames import Image
+from tactiled.frames import SensorImage
 from tactiled.units import COUNTS, PRESSURE, Unit
 
 Kept = Literal["raw", "restored", "shear"]  # what is kept of the last seconds
@@ -77,7 +77,7 @@ class Unpacked(NamedTuple):
     sensor: str  # "" on a stream of one sensor
 
 
-def values_of(image: Image, kind: Kind) -> NDArray[np.float32]:
+def values_of(image: SensorImage, kind: Kind) -> NDArray[np.float32]:
     """The values of a kind; ValueError where it has no shear. Traction that is not restored is NaN."""
     if kind == "traction" and image.traction is None:
         return np.full((2, *image.restored.shape), np.nan, np.float32)
@@ -87,7 +87,7 @@ def values_of(image: Image, kind: Kind) -> NDArray[np.float32]:
     return values
 
 
-def pack(image: Image, kind: Kind, made_at: float, sensor: str = "") -> bytes:
+def pack(image: SensorImage, kind: Kind, made_at: float, sensor: str = "") -> bytes:
     """Give the message of one image; `made_at` is its time (s, Unix), `sensor` the name to put in."""
     values = values_of(image, kind)
     flags = image.flags.tobytes() if kind == "raw" else b""

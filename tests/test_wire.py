@@ -5,14 +5,14 @@ import pytest
 from hypothesis import assume, example, given
 from hypothesis import strategies as st
 
-from tactiled.frames import MISSING, Image
+from tactiled.frames import MISSING, SensorImage
 from tactiled.restore.methods import METHODS, OLD_NAMES
 from tactiled.wire import HEADER, METHOD_NAMES, pack, unpack
 
 
 def image(raw, restored):
     flags = np.where(np.isnan(raw), MISSING, 0).astype(np.uint8)
-    return Image(
+    return SensorImage(
         "palm", 2**40 + 7, 1763712000.125, raw, restored, flags, "nnls", "because", 9, 61.5, 0.25, 1.5, 0.75
     )
 

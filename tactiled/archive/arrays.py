@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from tactiled.archive.writers import Writer
 from tactiled.build import SensorPlan
 from tactiled.contacts.regions import Measures
-from tactiled.frames import Image, Loss
+from tactiled.frames import Loss, SensorImage
 from tactiled.units import PRESSURE
 
 Arrays = dict[str, NDArray[Any]]
@@ -42,7 +42,7 @@ class NpzWriter(Writer):
     def _column(self, name: str) -> Path:
         return self._path.with_name(f".{name}")
 
-    def add_image(self, image: Image, regions: Mapping[str, Measures]) -> None:
+    def add_image(self, image: SensorImage, regions: Mapping[str, Measures]) -> None:
         """Append one frame."""
         self._row, self._count = row(image, regions, self._plan), self._count + 1
         for name, array in self._row.items():
@@ -139,7 +139,7 @@ class _DeferredErrors(io.FileIO):
         return 0
 
 
-def loads(image: Image, plan: SensorPlan) -> Arrays:
+def loads(image: SensorImage, plan: SensorPlan) -> Arrays:
     """Restored shear of one frame, of a sensor that restores it, and its deviation, NaN where it is not known."""
     if not plan.restores_shear:
         return {}
@@ -148,7 +148,7 @@ def loads(image: Image, plan: SensorPlan) -> Arrays:
     return {name: unknown if each is None else each.astype("<f4", copy=False) for name, each in found.items()}
 
 
-def row(image: Image, regions: Mapping[str, Measures], plan: SensorPlan) -> Arrays:
+def row(image: SensorImage, regions: Mapping[str, Measures], plan: SensorPlan) -> Arrays:
     """What an export has of one frame."""
     measures = {"regions": np.array([*regions.values()], "<f4")} if regions else {}
     shear = {} if image.shear is None else {"shear": image.shear.astype("<f4", copy=False)}

@@ -13,7 +13,7 @@ from tactiled.archive.arrays import LOSS_KINDS, loads
 from tactiled.archive.writers import Writer
 from tactiled.build import SensorPlan
 from tactiled.contacts.regions import Measures, measure_units
-from tactiled.frames import Image
+from tactiled.frames import SensorImage
 from tactiled.units import PRESSURE, SHEAR, Unit
 
 
@@ -37,7 +37,7 @@ class CsvWriter(Writer):
         self._empty = True
         self.close = self._file.close
 
-    def add_image(self, image: Image, regions: Mapping[str, Measures]) -> None:
+    def add_image(self, image: SensorImage, regions: Mapping[str, Measures]) -> None:
         """Append one frame."""
         arrays: dict[str, NDArray[Any]] = {
             f"raw_{self._unit}": image.raw,

@@ -11,7 +11,7 @@ from tactiled import __version__
 from tactiled.archive import writers
 from tactiled.build import SensorPlan
 from tactiled.contacts.regions import Measures
-from tactiled.frames import Image, Message
+from tactiled.frames import Message, SensorImage
 from tactiled.messages import foxglove
 from tactiled.units import nanoseconds
 
@@ -49,7 +49,7 @@ class McapWriter(writers.Writer):
         """Write one message of the bus."""
         self._add(self._bus, message.time, foxglove.bus_message(message))
 
-    def add_image(self, image: Image, regions: Mapping[str, Measures]) -> None:
+    def add_image(self, image: SensorImage, regions: Mapping[str, Measures]) -> None:
         """Write one image, its status and what its regions hold."""
         for topic, data in zip(self._topics.topics, self._topics.messages(image), strict=False):
             self._add(topic, image.time, data)

@@ -15,7 +15,7 @@ from tactiled.archive import arrays
 from tactiled.archive.writers import Writer
 from tactiled.build import SensorPlan
 from tactiled.contacts.regions import Measures
-from tactiled.frames import Image
+from tactiled.frames import SensorImage
 
 
 class ParquetWriter(Writer):
@@ -30,7 +30,7 @@ class ParquetWriter(Writer):
         self._table: Any = None  # under way from the first row group on
         self.close = self._file.close
 
-    def add_image(self, image: Image, regions: Mapping[str, Measures]) -> None:
+    def add_image(self, image: SensorImage, regions: Mapping[str, Measures]) -> None:
         """Append one frame, which is written with the others of its row group."""
         self._regions = (*regions,)
         if self._chunk.add(arrays.row(image, regions, self._plan)):

@@ -14,7 +14,7 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from tactiled.archive import writers
 from tactiled.build import SensorPlan
 from tactiled.contacts.regions import Measures
-from tactiled.frames import Image
+from tactiled.frames import SensorImage
 from tactiled.live.contact_search import ImageContacts
 from tactiled.messages import ros
 from tactiled.units import nanoseconds
@@ -35,7 +35,7 @@ class Rosbag2Writer(writers.Writer):
             self._writer.open()
         self._connections: dict[str, Connection] = {}  # of topics that have a message
 
-    def add_image(self, image: Image, regions: Mapping[str, Measures]) -> None:
+    def add_image(self, image: SensorImage, regions: Mapping[str, Measures]) -> None:
         """Write one image, its contacts, regions and status, at the time of its frame."""
         if self._empty:
             self._write(self._topics.first(image.time), image.time)

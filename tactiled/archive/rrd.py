@@ -13,7 +13,7 @@ import rerun as rr
 from tactiled.archive.writers import Writer
 from tactiled.build import SensorPlan
 from tactiled.contacts.regions import Measures
-from tactiled.frames import Image
+from tactiled.frames import SensorImage
 from tactiled.live.contact_search import ImageContacts
 from tactiled.messages import rerun as rerun_images
 
@@ -46,7 +46,7 @@ class RrdWriter(Writer):
                 except OSError as error:
                     self._error = error
 
-    def add_image(self, image: Image, regions: Mapping[str, Measures]) -> None:
+    def add_image(self, image: SensorImage, regions: Mapping[str, Measures]) -> None:
         """Write one image, its contacts and warnings, and what its regions hold."""
         self._log.add(image, self._contacts(image, image.time))
         self._log.add_regions(regions)

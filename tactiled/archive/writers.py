@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, Protocol, cast
 from tactiled.build import SensorPlan
 from tactiled.contacts.regions import Measures
 from tactiled.errors import ConfigError
-from tactiled.frames import Image, Message
+from tactiled.frames import Message, SensorImage
 
 
 class Writer(Protocol):
@@ -23,7 +23,7 @@ class Writer(Protocol):
     def add_message(self, message: Message) -> None:
         """Take one data frame of the bus, before the image that it completes; most formats cannot hold one."""
 
-    def add_image(self, image: Image, regions: Mapping[str, Measures]) -> None:
+    def add_image(self, image: SensorImage, regions: Mapping[str, Measures]) -> None:
         """Append one frame: its times, raw and restored image, flags, method, loss; memory stays bounded.
 
         `regions` has the measures of every region, by its name.

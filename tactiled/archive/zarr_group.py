@@ -13,7 +13,7 @@ from tactiled.archive import arrays
 from tactiled.archive.writers import Writer
 from tactiled.build import SensorPlan
 from tactiled.contacts.regions import Measures
-from tactiled.frames import Image
+from tactiled.frames import SensorImage
 
 NO_DATA = {"f": np.nan, "i": -1, "u": 255, "T": ""}  # by kind of dtype: a lost chunk reads so, not as pressure 0
 LOCAL = "Consolidated metadata is currently not part"  # of Zarr 3, says zarr: others ignore it
@@ -29,7 +29,7 @@ class ZarrWriter(Writer):
         self._dimensions = arrays.dimensions(plan)
         self.close = self._chunk.take
 
-    def add_image(self, image: Image, regions: Mapping[str, Measures]) -> None:
+    def add_image(self, image: SensorImage, regions: Mapping[str, Measures]) -> None:
         """Append one frame, which is written with the others of its chunk."""
         if self._chunk.add(arrays.row(image, regions, self._plan)):
             self._append()

@@ -27,7 +27,7 @@ OUTLINE_SIGMAS = 2.0  # standard deviations of a contact's pressure from its cen
 
 
 @dataclass(frozen=True, slots=True)
-class Contact:
+class DetectedContact:
     """One contact; x to the right and y down, in the array's own coordinates."""
 
     id: int  # the same while it lasts
@@ -61,7 +61,7 @@ class Finder:
         shares: Floats32 | None = None,
         before: Labels | None = None,
         deviation: Callable[[], Floats32] | None = None,
-    ) -> list[Contact]:
+    ) -> list[DetectedContact]:
         """Contacts of an image (in `unit`), the strongest first, all with id 0; `noise` is a cell's.
 
         With `faint` also those too faint to begin, which one that has begun may have become. None of which too
@@ -102,7 +102,7 @@ class Finder:
 
     def _measure(
         self, pressure: Floats, deviation: Reals, most: float, force_scale: float, pressed: Labels, skirt: Labels
-    ) -> Contact:
+    ) -> DetectedContact:
         """Measure a contact: force and place with the skirt round the cells that are clearly pressed.
 
         The errors of its cells count as independent: in `tests.bench border` 94 % of the forces are within two
@@ -119,7 +119,7 @@ class Finder:
         covariance = (weight[:, None] * offset).T @ offset + within_cells * np.eye(2)
         minor, major = np.sqrt(np.maximum(np.linalg.eigvalsh(covariance), 0.0))
         angle = 0.5 * np.arctan2(2 * covariance[0, 1], covariance[0, 0] - covariance[1, 1])
-        return Contact(
+        return DetectedContact(
             id=0,
             x_mm=float(centre[0]),
             y_mm=float(centre[1]),

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field
 
 from tactiled.contacts.felt import is_known
-from tactiled.frames import Image
+from tactiled.frames import SensorImage
 from tactiled.geometry import Raster
 from tactiled.units import FORCE_SCALES, FORCE_UNITS, Unit
 
@@ -94,7 +94,7 @@ class RegionMeter:
         self._cells = np.flatnonzero(cells.felt) if region is None else region.cells(cells)
         self._area = cells.side**2
 
-    def __call__(self, image: Image) -> Measures:
+    def __call__(self, image: SensorImage) -> Measures:
         """What an image holds in the region; nothing is known where too little of it is left."""
         pressure = image.restored.reshape(-1)[self._cells]
         if image.shares is not None and not is_known(image.shares.reshape(-1)[self._cells].mean(), summed=True):

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from tactiled.arrays import Floats, Mask
-from tactiled.contacts.detection import Contact
+from tactiled.contacts.detection import DetectedContact
 
 MAX_STEP_PITCHES = 3.0  # from where a contact was, or should be by its speed
 MAX_FAINT_STEP_PITCHES = 1.0  # the same of one that has become faint
@@ -56,7 +56,7 @@ class Tracker:
         """Whether there is a contact that may go on."""
         return bool(self._tracks)
 
-    def __call__(self, contacts: list[Contact], time: float, begin: float) -> list[Contact]:
+    def __call__(self, contacts: list[DetectedContact], time: float, begin: float) -> list[DetectedContact]:
         """The contacts of an image at `time` (s), with ids; of those with a peak below `begin` none begins."""
         elapsed, self._time = max(0.0, time - self._time), time
         for each in self._tracks:

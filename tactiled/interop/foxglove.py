@@ -6,7 +6,7 @@ from contextlib import suppress
 from dataclasses import asdict
 
 from tactiled.errors import TactileError
-from tactiled.frames import Image
+from tactiled.frames import SensorImage
 from tactiled.live.sensor import Sensor
 from tactiled.messages import foxglove
 from tactiled.units import Unit, nanoseconds
@@ -48,7 +48,7 @@ class _SensorChannels:
         for each in (*self._images, self._state, self._contacts):
             each.close()
 
-    def send_image(self, image: Image, now: float) -> bool:
+    def send_image(self, image: SensorImage, now: float) -> bool:
         """Send an image at `now` (s, monotonic) to the subscribers; whether there are any."""
         if image.unit != self._topics.unit:
             self._advertise_images(image.unit)
@@ -109,7 +109,7 @@ class Foxglove(Bridge):
         """Advertise a sensor's topics."""
         self._sensors[sensor] = _SensorChannels(self._context, sensor)
 
-    def on_image(self, sensor: Sensor, image: Image) -> bool:
+    def on_image(self, sensor: Sensor, image: SensorImage) -> bool:
         """Send an image and its contacts."""
         return self._sensors[sensor].send_image(image, time.monotonic())
 

@@ -7,7 +7,7 @@ from contextlib import contextmanager, suppress
 from importlib.util import find_spec
 
 from tactiled.errors import ConfigError
-from tactiled.frames import Image
+from tactiled.frames import SensorImage
 from tactiled.live.service import Service
 from tactiled.web.bridge import Bridge, Host
 
@@ -51,7 +51,7 @@ def _show(service: Service, port: int, ended: threading.Event) -> None:
     from tactiled.messages import rerun as rerun_images
 
     sensors, stream, ticks = service.sensors, rerun_images.new_stream(), 0
-    plans, newest = {name: sensor.plan for name, sensor in sensors.items()}, dict[str, Image]()
+    plans, newest = {name: sensor.plan for name, sensor in sensors.items()}, dict[str, SensorImage]()
     screen = rerun_images.blueprint(plans.values())
     stream.connect_grpc(f"rerun+http://127.0.0.1:{port}/proxy", default_blueprint=screen)
     logs = {name: rerun_images.SensorLog(stream, plan) for name, plan in plans.items()}

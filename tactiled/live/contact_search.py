@@ -7,14 +7,14 @@ from contextlib import suppress
 from functools import partial
 
 from tactiled.arrays import Floats32
-from tactiled.contacts.detection import BEGIN_SIGMAS, Contact, Finder
+from tactiled.contacts.detection import BEGIN_SIGMAS, DetectedContact, Finder
 from tactiled.contacts.tracking import Tracker
-from tactiled.frames import Image
+from tactiled.frames import SensorImage
 from tactiled.geometry import Array, Raster
 from tactiled.live.hub import Hub
 from tactiled.threads import Worker
 
-Deviation = Callable[[Image], Floats32]
+Deviation = Callable[[SensorImage], Floats32]
 
 LOOK_S = 0.05  # from one look to the next
 ASKED_S = 5.0  # looks go on for so long after a request
@@ -30,7 +30,7 @@ class ImageContacts:
         self._finder, self._tracker = Finder(array, cells), Tracker(array.pitch)
         self._deviation = deviation
 
-    def __call__(self, image: Image, time_s: float) -> tuple[Contact, ...]:
+    def __call__(self, image: SensorImage, time_s: float) -> tuple[DetectedContact, ...]:
         """Contacts of one image; `time_s` on a clock that is the same for all of them."""
         noise = image.cell_noise
         find, holds = self._finder, self._tracker.holds
@@ -49,18 +49,18 @@ class ContactSearch(Worker):
         self._hub = hub
         self._find = ImageContacts(array, cells, deviation)
         self._looking = threading.Lock()
-        self._image: Image | None = None  # the one last looked at
-        self._contacts: tuple[Contact, ...] = ()
+        self._image: SensorImage | None = None  # the one last looked at
+        self._contacts: tuple[DetectedContact, ...] = ()
         self._due = self._until = 0.0  # s, monotonic: of the next look, and to which looks go on
 
-    def contacts(self) -> tuple[Image | None, tuple[Contact, ...]]:
+    def contacts(self) -> tuple[SensorImage | None, tuple[DetectedContact, ...]]:
         """The newest image and the contacts in it; any thread."""
         with self._wake:
             self._until = time.monotonic() + ASKED_S
             self._wake.notify()
         return self._look()
 
-    def _look(self) -> tuple[Image | None, tuple[Contact, ...]]:
+    def _look(self) -> tuple[SensorImage | None, tuple[DetectedContact, ...]]:
         with self._looking:
             self._due = time.monotonic() + LOOK_S
             image = self._hub.latest()

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactiled.arrays import Flags, Floats, Floats32
-from tactiled.frames import Image
+from tactiled.frames import SensorImage
 from tactiled.units import COUNTS, PRESSURE, Unit
 
 MAX_RATE_HZ = 200  # of frames that there is memory for; of a faster sensor it is a shorter time
@@ -58,7 +58,7 @@ class History:
         """Memory that it has."""
         return len(self._method) * self._frame_bytes
 
-    def keep(self, image: Image) -> None:
+    def keep(self, image: SensorImage) -> None:
         """Copy one image in over the oldest; allocates nothing."""
         if not self.capacity:
             return

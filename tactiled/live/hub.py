@@ -4,7 +4,7 @@ import threading
 from collections.abc import Callable
 from typing import Generic, TypeVar
 
-from tactiled.frames import Image
+from tactiled.frames import SensorImage
 
 T = TypeVar("T")
 
@@ -33,18 +33,18 @@ class Publisher(Generic[T]):
         return unsubscribe
 
 
-class Hub(Publisher[Image]):
+class Hub(Publisher[SensorImage]):
     """Holds one image: newest wins, nothing queues."""
 
     def __init__(self) -> None:
         super().__init__()
-        self._newest: Image | None = None
+        self._newest: SensorImage | None = None
 
-    def latest(self) -> Image | None:
+    def latest(self) -> SensorImage | None:
         """Newest image, or None before the first."""
         return self._newest
 
-    def publish(self, image: Image) -> None:
+    def publish(self, image: SensorImage) -> None:
         """Make `image` the newest and call the listeners."""
         self._newest = image
         super().publish(image)

@@ -16,7 +16,7 @@ from tactiled.calibrate.upkeep.monitor import SkinMonitor
 from tactiled.chain import Chain, flag_warnings
 from tactiled.core import readings
 from tactiled.diagnostics.warning_codes import warning
-from tactiled.frames import FrameWarning, Image, RawFrame, StageTimes
+from tactiled.frames import FrameWarning, RawFrame, SensorImage, StageTimes
 from tactiled.geometry import tiling
 from tactiled.live.budget import Deadline
 from tactiled.live.cover_monitor import CoverMonitor
@@ -146,8 +146,10 @@ class Pipeline:
         """(N,) mm^2 of the surface that each taxel stands for."""
         return tiling(self._plan.array).areas
 
-    def process(self, frame: RawFrame, budget_s: float = inf, came: tuple[float, float] | None = None) -> Image:
-        """Image of one frame; every doubt about it is NaN, a flag or a warning.
+    def process(
+        self, frame: RawFrame, budget_s: float = inf, came: tuple[float, float] | None = None
+    ) -> SensorImage:
+        """SensorImage of one frame; every doubt about it is NaN, a flag or a warning.
 
         Restoring it ends after `budget_s` of processor time with the best image until then, where its method can.
         `came` is when it arrived and was assembled (s, monotonic); None: now.

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from tactiled.arrays import Floats, Floats32
 from tactiled.contacts.detection import BEGIN_SIGMAS
 from tactiled.contacts.regions import NOT_KNOWN, TOTAL, Measures, Region, RegionMeter
-from tactiled.frames import MISSING, Image
+from tactiled.frames import MISSING, SensorImage
 from tactiled.geometry import Raster
 from tactiled.units import Unit
 
@@ -93,7 +93,7 @@ class RegionSeries:
         self._impulse = self._pressure_time = 0.0
         self._since = np.nan
 
-    def watch(self, image: Image) -> float | None:
+    def watch(self, image: SensorImage) -> float | None:
         """Measure an image; the value that has crossed the threshold, None where none has."""
         gap = image.time - self._last
         now = self.measure(image)
@@ -185,7 +185,7 @@ class RegionMonitor:
         del series[name]
         self.series = series
 
-    def watch(self, image: Image) -> None:
+    def watch(self, image: SensorImage) -> None:
         """Measure every region in an image: on the sensor's thread."""
         for name, each in self.series.items():
             value = each.watch(image)

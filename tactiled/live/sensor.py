@@ -11,9 +11,9 @@ from tactiled.arrays import Floats32
 from tactiled.build import SensorPlan
 from tactiled.calibrate.calibration_file import CalibrationFile
 from tactiled.calibrate.counts.tare import Zero
-from tactiled.contacts.detection import Contact
+from tactiled.contacts.detection import DetectedContact
 from tactiled.errors import LoadedError, NoShearError, NotLiveError, TareStateError
-from tactiled.frames import FrameWarning, Image, RawFrame
+from tactiled.frames import FrameWarning, RawFrame, SensorImage
 from tactiled.geometry import tiling
 from tactiled.live.budget import budget_share, default_budget_s
 from tactiled.live.contact_search import ContactSearch
@@ -40,7 +40,7 @@ class Sensor:
         self.cells = plan.cells
         self.pipeline, self.hub, self.timings = Pipeline(plan, start=run_on_thread), Hub(), Timings()
         self.frames: Publisher[RawFrame] = Publisher()  # every one in counts, on the bus's thread
-        self.sends: Publisher[tuple[Image, float]] = Publisher()  # each to a client, and when (s): event loop
+        self.sends = Publisher[tuple[SensorImage, float]]()  # each to a client, and when (s): event loop
         self.history = History(*history, plan.array.frame_shape, plan.cells.shape, plan.shears)
         self.regions = RegionMonitor(lambda: self.plan.cells)
         self.health = Health(clock)
@@ -79,11 +79,11 @@ class Sensor:
         """Areas of the taxels, None: of a grid."""
         return None if self.array.shape else tuple(tiling(self.array).areas.tolist())
 
-    def deviation(self, image: Image) -> Floats32:
+    def deviation(self, image: SensorImage) -> Floats32:
         """Standard deviation of every cell of the newest restored image, in its unit."""
         return self.pipeline.deviation(image)
 
-    def surface(self, image: Image) -> Floats32:
+    def surface(self, image: SensorImage) -> Floats32:
         """The newest restored image and its deviation (2, R, C), with what lies beyond the taxels, in its unit."""
         return self.pipeline.surface(image)
 
@@ -101,7 +101,7 @@ class Sensor:
                 "kpa_per_count or a gain, and a cover that does not slide"
             )
 
-    def contacts(self) -> tuple[Image | None, tuple[Contact, ...]]:
+    def contacts(self) -> tuple[SensorImage | None, tuple[DetectedContact, ...]]:
         """The newest image and the contacts in it, tracked while anybody asks; any thread."""
         return self._tracking.contacts()
 
@@ -173,7 +173,7 @@ class Sensor:
         self.hand_over.loss = frame.loss
         self._publish(frame, inf, (now, now))
 
-    def note_send(self, image: Image) -> None:
+    def note_send(self, image: SensorImage) -> None:
         """A client is sent an image now; on the event loop."""
         now = time.monotonic()
         self.timings.note_send(image, now)

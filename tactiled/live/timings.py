@@ -7,7 +7,7 @@ from threading import Lock
 import numpy as np
 
 from tactiled.arrays import Floats
-from tactiled.frames import Image, StageTimes
+from tactiled.frames import SensorImage, StageTimes
 
 BOUNDS_S = (*(round(step * 10.0**power, 6) for power in range(-5, 0) for step in (1, 2, 5)), 1.0)  # 10 µs to 1 s
 STAGES = ("assemble", "wait", "calibrate", "restore", "check", "publish")
@@ -59,7 +59,7 @@ class Timings:
         self._count_waiting()
         return self._ages
 
-    def note(self, image: Image, published: float) -> None:
+    def note(self, image: SensorImage, published: float) -> None:
         """Count an image that was published at `published` (s); for the thread that restores."""
         if image.times is None:
             return
@@ -67,7 +67,7 @@ class Timings:
         if len(self._published) >= MAX_WAITING:
             self._count_waiting()
 
-    def note_send(self, image: Image, time: float) -> None:
+    def note_send(self, image: SensorImage, time: float) -> None:
         """Count an image that a client was sent at `time` (s); for the event loop."""
         if image.times is None:
             return

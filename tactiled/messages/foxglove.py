@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactiled.build import SensorPlan
-from tactiled.contacts.detection import OUTLINE_SIGMAS, Contact
+from tactiled.contacts.detection import OUTLINE_SIGMAS, DetectedContact
 from tactiled.contacts.regions import Measures, RegionMeter
 from tactiled.errors import ConfigError
-from tactiled.frames import Image, Message
+from tactiled.frames import Message, SensorImage
 from tactiled.units import COUNTS, FORCE_UNITS, M_PER_MM, Unit, force_text, nanoseconds
 
 try:
@@ -152,7 +152,7 @@ class Topics:
         self.topics = [self._raw.topic, self._restored.topic, status]
         self.topics += [each.topic for each in (self._shear, self._traction) if each]
 
-    def messages(self, image: Image) -> list[bytes]:
+    def messages(self, image: SensorImage) -> list[bytes]:
         """One image, which is in `unit`, with all that is known of it: a message for each of the topics.
 
         The last one, of traction, has none before a tare.
@@ -218,7 +218,7 @@ def contacts_topic(name: str) -> Topic:
     return _protobuf_topic(f"/{name}/contacts", messages.SceneUpdate)
 
 
-def contacts_message(name: str, time: float, unit: Unit, contacts: tuple[Contact, ...]) -> bytes:
+def contacts_message(name: str, time: float, unit: Unit, contacts: tuple[DetectedContact, ...]) -> bytes:
     """The contacts of an image of a time (s), in place of those before: an ellipse each, its force beside it."""
     at = _timestamp(time)
     deletion = messages.SceneEntityDeletion(timestamp=at, type=messages.SceneEntityDeletionType.All)
@@ -231,7 +231,7 @@ def contacts_message(name: str, time: float, unit: Unit, contacts: tuple[Contact
     return messages.SceneUpdate(deletions=[deletion], entities=entities).encode()
 
 
-def _ellipse(contact: Contact) -> Any:
+def _ellipse(contact: DetectedContact) -> Any:
     across = 2 * OUTLINE_SIGMAS * M_PER_MM
     return messages.CylinderPrimitive(
         pose=_pose(contact.x_mm, contact.y_mm, contact.angle_rad),
@@ -242,7 +242,7 @@ def _ellipse(contact: Contact) -> Any:
     )
 
 
-def _label(contact: Contact, unit: Unit) -> Any:
+def _label(contact: DetectedContact, unit: Unit) -> Any:
     return messages.TextPrimitive(
         pose=_pose(contact.x_mm, contact.y_mm),
         billboard=True,

@@ -12,9 +12,9 @@ import rerun.blueprint as rrb
 from numpy.typing import NDArray
 
 from tactiled.build import SensorPlan
-from tactiled.contacts.detection import OUTLINE_SIGMAS, Contact
+from tactiled.contacts.detection import OUTLINE_SIGMAS, DetectedContact
 from tactiled.contacts.regions import Measures, RegionMeter
-from tactiled.frames import Image
+from tactiled.frames import SensorImage
 from tactiled.geometry import tiling
 from tactiled.units import FORCE_UNITS, force_text
 
@@ -58,7 +58,7 @@ class SensorLog:
     def _log(self, name: str, content: rr.AsComponents, static: bool = False) -> None:
         self._stream.log(f"/{self._plan.name}/{name}", content, static=static)
 
-    def add(self, image: Image, contacts: Iterable[Contact]) -> None:
+    def add(self, image: SensorImage, contacts: Iterable[DetectedContact]) -> None:
         """Log one image and the contacts in it."""
         self._stream.set_time("time", timestamp=image.time)
         self._stream.set_time("frame", sequence=image.sequence)
@@ -104,7 +104,7 @@ class SensorLog:
         bar, width = [(low, bottom), (low + length_mm, bottom)], rr.Radius.ui_points(1.5)
         self._log("scale", rr.LineStrips2D([bar], labels=text, colors=OUTLINE, radii=width), static=True)
 
-    def _outlines(self, contacts: Iterable[Contact]) -> rr.LineStrips2D:
+    def _outlines(self, contacts: Iterable[DetectedContact]) -> rr.LineStrips2D:
         """An ellipse for each contact, with its force."""
         strips, labels = [], []
         for each in contacts:

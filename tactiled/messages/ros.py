@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from tactiled.arrays import Floats
 from tactiled.build import SensorPlan
 from tactiled.config import ros_name
-from tactiled.contacts.detection import OUTLINE_SIGMAS, Contact
+from tactiled.contacts.detection import OUTLINE_SIGMAS, DetectedContact
 from tactiled.contacts.regions import Measures, RegionMeter
-from tactiled.frames import Image
+from tactiled.frames import SensorImage
 from tactiled.geometry import tiling
 from tactiled.messages.ros_types import LATCHED, RELIABLE, SENSOR_DATA, Types
 from tactiled.units import FORCE_UNITS, M_PER_MM, N_PER_KPA_MM2, PRESSURE, force_text, nanoseconds
@@ -82,8 +82,8 @@ class Topics:
 
     def messages(
         self,
-        image: Image,
-        contacts: tuple[Contact, ...],
+        image: SensorImage,
+        contacts: tuple[DetectedContact, ...],
         regions: Mapping[str, Measures],
         selection: Container[str] = TOPICS,
     ) -> Iterator[Message]:
@@ -114,7 +114,7 @@ class Topics:
         sec, nanosec = divmod(nanoseconds(time_s), 10**9)
         return {"stamp": {"sec": sec, "nanosec": nanosec}, "frame_id": frame_id or self._name}
 
-    def _tactile_fields(self, image: Image, contacts: tuple[Contact, ...]) -> Fields:
+    def _tactile_fields(self, image: SensorImage, contacts: tuple[DetectedContact, ...]) -> Fields:
         """All that a frame's arrays and numbers are, with their units."""
         rows, columns = self._plan.array.shape or (0, 0)
         total = self._total(image)
@@ -124,7 +124,7 @@ class Topics:
         about["warnings"] = [each.code for each in image.warnings]
         return sums | _units(image) | arrays | about | {"contacts": [asdict(each) for each in contacts]}
 
-    def _wrenches(self, image: Image, contacts: tuple[Contact, ...]) -> Iterator[Fields]:
+    def _wrenches(self, image: SensorImage, contacts: tuple[DetectedContact, ...]) -> Iterator[Fields]:
         """Force on the skin of each contact, and its moment about the array's (0, 0).
 
         Force along the skin, where it is restored, is of the contact in whose ellipse a cell lies deepest.
@@ -145,12 +145,12 @@ class Topics:
     def _shear_pixels(self, shear: NDArray[np.float32]) -> Fields:
         return _pixels(np.stack([self._taxels.picture(each) for each in shear], axis=-1))
 
-    def _markers(self, contacts: tuple[Contact, ...]) -> Iterator[Fields]:
+    def _markers(self, contacts: tuple[DetectedContact, ...]) -> Iterator[Fields]:
         yield {"action": DELETE_ALL, "pose": {"orientation": {"w": 1.0}}}
         for each in contacts:
             yield from self._contact_markers(each)
 
-    def _contact_markers(self, contact: Contact) -> Iterator[Fields]:
+    def _contact_markers(self, contact: DetectedContact) -> Iterator[Fields]:
         """An ellipse, and the force beside it."""
         half, across = contact.angle_rad / 2, 2 * OUTLINE_SIGMAS * M_PER_MM
         place = {"x": M_PER_MM * contact.x_mm, "y": M_PER_MM * contact.y_mm}
@@ -160,14 +160,14 @@ class Topics:
         label = {"ns": "labels", "type": TEXT_VIEW_FACING, "scale": {"z": LABEL_M}, "color": WHITE}
         yield both | label | {"text": force_text(contact.force, self._plan.unit)}
 
-    def _diagnostics(self, image: Image) -> Iterator[Fields]:
+    def _diagnostics(self, image: SensorImage) -> Iterator[Fields]:
         """The status if it has changed, and every DIAGNOSTICS_EVERY_S."""
         codes = tuple(each.code for each in image.warnings)
         if codes != self._diagnosed[0] or image.time - self._diagnosed[1] >= DIAGNOSTICS_EVERY_S:
             self._diagnosed = codes, image.time
             yield {"status": [self._status(image)]}
 
-    def _status(self, image: Image) -> Fields:
+    def _status(self, image: SensorImage) -> Fields:
         values = {"method": image.method, "why": image.why, "noise": f"{image.noise:.4g} {image.unit}"}
         values |= {each.code: each.text for each in image.warnings}
         values |= {f"{name} so far": str(count) for name, count in asdict(image.loss).items()}
@@ -180,11 +180,11 @@ class Topics:
         }
 
 
-def _units(image: Image) -> Fields:
+def _units(image: SensorImage) -> Fields:
     return {"pressure_unit": image.unit, "force_unit": FORCE_UNITS[image.unit]}
 
 
-def _region_fields(image: Image, regions: Mapping[str, Measures]) -> Fields:
+def _region_fields(image: SensorImage, regions: Mapping[str, Measures]) -> Fields:
     each = [
         {"name": name, "force": now.force, "mean": now.mean, "peak": now.peak, "area_mm2": now.area}
         for name, now in regions.items()
@@ -200,7 +200,7 @@ def _pixels(picture: NDArray[np.float32]) -> Fields:
     return size | {"encoding": f"32FC{channels[0] if channels else 1}", "data": data}
 
 
-def _depth(contact: Contact, places: Floats) -> Floats:
+def _depth(contact: DetectedContact, places: Floats) -> Floats:
     """Distance of places (M, 2), mm, from a contact's middle, over the standard deviations of its pressure."""
     x, y = places.T - np.array([[contact.x_mm], [contact.y_mm]])
     along, across = np.cos(contact.angle_rad), np.sin(contact.angle_rad)

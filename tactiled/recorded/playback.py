@@ -15,11 +15,11 @@ from tactiled.arrays import Flags, Floats, Floats32
 from tactiled.build import SensorPlan
 from tactiled.calibrate.counts.tare import Zero, below_zero
 from tactiled.chain import Chain, flag_warnings
-from tactiled.contacts.detection import Contact, Finder
+from tactiled.contacts.detection import DetectedContact, Finder
 from tactiled.contacts.felt import MIN_SUM_SHARE
 from tactiled.diagnostics.checks import CHECK_EVERY_FRAMES, CHECKS_IN_A_ROW
 from tactiled.diagnostics.warning_codes import WarningCode, warning
-from tactiled.frames import FrameWarning, Image, RawFrame
+from tactiled.frames import FrameWarning, RawFrame, SensorImage
 from tactiled.geometry import tiling
 from tactiled.recorded.frames import FrameFiles
 from tactiled.recorded.noise import numbers_with_data, recorded_noise, shear_rest
@@ -93,7 +93,7 @@ class Playback:
             self._calibrator.follow(each.counts, each.flags)
         self._next = number + 1
 
-    def image(self, number: int, method: str) -> Image:
+    def image(self, number: int, method: str) -> SensorImage:
         """One frame restored; `arrived` is its position in the recording. ConfigError for an unknown method."""
         chain, frame = self._chain, self._recorded.frame(self.plan.name, number)
         chain.restorer(method)
@@ -119,7 +119,7 @@ class Playback:
         image = self.image(number, method)
         return self._chain.check(image) if image.shares is None else ()  # what is unknown shows nothing
 
-    def contacts(self, image: Image) -> tuple[Contact, ...]:
+    def contacts(self, image: SensorImage) -> tuple[DetectedContact, ...]:
         """Contacts of an image, strongest first, numbered from 1: there is no frame before to follow them from."""
         contacts = self._finder(image.restored, image.cell_noise, image.unit, shares=image.shares)
         return tuple(replace(each, id=n) for n, each in enumerate(contacts, 1))

@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactiled.bus.socketcan import KINDS
-from tactiled.contacts.detection import Contact
-from tactiled.frames import Image
+from tactiled.contacts.detection import DetectedContact
+from tactiled.frames import SensorImage
 from tactiled.live.sensor import Sensor
 from tactiled.live.status import Status
 from tactiled.restore.methods import METHODS
@@ -62,7 +62,7 @@ def npy(values: NDArray[np.float32]) -> bytes:
 
 
 def pressures(
-    sensor: SensorView, image: Image, kind: PressureKind, cells: schemas.ImageCells = "raster"
+    sensor: SensorView, image: SensorImage, kind: PressureKind, cells: schemas.ImageCells = "raster"
 ) -> NDArray[np.float32]:
     """An image of this kind, in its unit."""
     if kind == "raw":
@@ -77,7 +77,7 @@ def by_taxel(sensor: SensorView, values: NDArray[np.float32]) -> NDArray[np.floa
     return means.reshape(*values.shape[:-2], *sensor.array.frame_shape)
 
 
-def on_taxels(sensor: SensorView, image: Image) -> Image:
+def on_taxels(sensor: SensorView, image: SensorImage) -> SensorImage:
     """An image with the means of what is restored on each taxel."""
     names = ("restored", "traction", "traction_deviation")
     known = {name: each for name in names if (each := getattr(image, name)) is not None}
@@ -85,7 +85,7 @@ def on_taxels(sensor: SensorView, image: Image) -> Image:
     return replace(image, **means)
 
 
-def _message(image: Image, status: Status) -> dict[str, Any]:
+def _message(image: SensorImage, status: Status) -> dict[str, Any]:
     """The fields that every message on an image has."""
     return {
         "sensor": image.sensor,
@@ -95,13 +95,13 @@ def _message(image: Image, status: Status) -> dict[str, Any]:
     }
 
 
-def _restoration(image: Image) -> dict[str, Any]:
+def _restoration(image: SensorImage) -> dict[str, Any]:
     """How an image was made."""
     return schemas.Restoration.shared(image) | {"noise_kpa": if_calibrated(image.noise, image.unit)}
 
 
 def frame(
-    sensor: SensorView, image: Image, kind: PressureKind, cells: schemas.ImageCells = "raster"
+    sensor: SensorView, image: SensorImage, kind: PressureKind, cells: schemas.ImageCells = "raster"
 ) -> schemas.Frame:
     """One image, with the sensor's present state."""
     status = sensor.status()
@@ -118,7 +118,7 @@ def frame(
     )
 
 
-def surface(sensor: Sensor, image: Image) -> schemas.Surface:
+def surface(sensor: Sensor, image: SensorImage) -> schemas.Surface:
     """The newest image with what lies beyond the taxels, with the sensor's present state."""
     cells, wide = sensor.cells, sensor.plan.blur.wide
     rows, columns = wide.own if wide else (slice(0, n) for n in cells.shape)
@@ -134,13 +134,13 @@ def surface(sensor: Sensor, image: Image) -> schemas.Surface:
     )
 
 
-def shear(sensor: SensorView, image: Image) -> schemas.Shear:
+def shear(sensor: SensorView, image: SensorImage) -> schemas.Shear:
     """Shear of an image that has it, with the sensor's present state."""
     x, y = (numbers(each) for each in np.asarray(image.shear))
     return schemas.Shear(**_message(image, sensor.status()), x=x, y=y)
 
 
-def traction(sensor: SensorView, image: Image) -> schemas.Traction:
+def traction(sensor: SensorView, image: SensorImage) -> schemas.Traction:
     """Restored shear of an image, null where there is none yet, with the sensor's present state."""
     load = values_of(image, "traction")
     spread = np.full_like(load, np.nan) if image.traction_deviation is None else image.traction_deviation
@@ -158,7 +158,7 @@ def contacts(sensor: SensorView) -> schemas.Contacts | None:
     return schemas.Contacts(**_message(image, sensor.status()), **units, contacts=listed(contacts, image.unit))
 
 
-def listed(contacts: Iterable[Contact], unit: Unit) -> list[dict[str, Any]]:
+def listed(contacts: Iterable[DetectedContact], unit: Unit) -> list[dict[str, Any]]:
     """The fields of contacts in an image whose pressure has this unit."""
     return [
         asdict(each)
@@ -168,7 +168,7 @@ def listed(contacts: Iterable[Contact], unit: Unit) -> list[dict[str, Any]]:
     ]
 
 
-def stream_status(sensor: SensorView, image: Image | None, status: Status) -> schemas.StreamStatus:
+def stream_status(sensor: SensorView, image: SensorImage | None, status: Status) -> schemas.StreamStatus:
     """A sensor's state and how its newest image was made."""
     fields = schemas.Status.shared(status) | {
         "sensor": sensor.name,

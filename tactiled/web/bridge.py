@@ -10,7 +10,7 @@ import uvicorn
 from fastapi import APIRouter
 
 from tactiled.config import Server
-from tactiled.frames import Image
+from tactiled.frames import SensorImage
 from tactiled.live.sensor import Sensor
 from tactiled.web.ws.feed import Feeds
 
@@ -43,7 +43,7 @@ class Bridge:
     def enter(self, sensor: Sensor) -> None:
         """A sensor is there from now on; after a reload another object may have its name."""
 
-    def on_image(self, sensor: Sensor, image: Image) -> bool:
+    def on_image(self, sensor: Sensor, image: SensorImage) -> bool:
         """The newest image; whether it was sent: if not, it comes again until there is a newer one."""
         raise NotImplementedError
 
@@ -66,7 +66,7 @@ class Bridge:
     @contextmanager
     def running(self, host: Host) -> Iterator[str | None]:
         """Run meanwhile; gives what `start` gives."""
-        service, sent = host.service, dict[Sensor, Image | None]()
+        service, sent = host.service, dict[Sensor, SensorImage | None]()
         new, ended, unsubscribe = Event(), Event(), dict[Sensor, Callable[[], None]]()
         where = self.start(host)
 

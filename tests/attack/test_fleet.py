@@ -9,7 +9,7 @@ from dataclasses import asdict
 import numpy as np
 
 from tactiled.config import Server
-from tactiled.frames import Image
+from tactiled.frames import SensorImage
 from tactiled.interop.zenoh.app import create
 from tactiled.interop.zenoh.intake import MAX_ROBOTS, STRANGERS
 from tactiled.interop.zenoh.messages import MAX_CELLS
@@ -77,7 +77,7 @@ def image(values, sequence=0, **changes):
     } | changes
     flags = np.zeros((SIDE, SIDE), np.uint8)
     noise = {"noise": 0.1, "noise_gain": 1.0, "resolution_mm": 1.0}
-    return Image(raw=values, restored=values, flags=flags, sequence=sequence, **(noise | settings))
+    return SensorImage(raw=values, restored=values, flags=flags, sequence=sequence, **(noise | settings))
 
 
 class Fuzzer:

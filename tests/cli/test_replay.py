@@ -10,7 +10,7 @@ from tactiled.bus.replay import Replay, frames
 from tactiled.bus.router import Router
 from tactiled.cli.replay import replaying
 from tactiled.config import parse
-from tactiled.frames import Image
+from tactiled.frames import SensorImage
 from tactiled.live.contact_search import ImageContacts
 from tests.cli.commands import refusal, succeed
 from tests.cli.recordings import CODEC, CONFIG, FRAMES, counts, traffic, write
@@ -39,7 +39,7 @@ def clock(monkeypatch):
 def test_images_are_bit_identical_at_any_speed(lossy):
     (first, sensor), (second, _) = (images(lossy, speed) for speed in (0, 4))
     for one, other in zip(first, second, strict=True):
-        for name in {each.name for each in fields(Image)} - {"microseconds", "times"}:
+        for name in {each.name for each in fields(SensorImage)} - {"microseconds", "times"}:
             np.testing.assert_array_equal(getattr(one, name), getattr(other, name), f"{name} of {one.sequence}")
     assert len({each.method for each in first}) > 1
     loss = first[-1].loss

@@ -24,7 +24,7 @@ from tactiled.client.results import measured
 from tactiled.client.stream import TOO_MANY, Inbox, Service, Stream
 from tactiled.config import Server
 from tactiled.errors import ConfigError, TactileError
-from tactiled.frames import Image as Frame
+from tactiled.frames import SensorImage as Frame
 from tactiled.web.server import running
 from tactiled.wire import pack
 from tests.conftest import BUSY_S, Clock, pressed, run_apart, until

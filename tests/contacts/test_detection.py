@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tactiled.contacts.detection import MAX_PEAKS, Contact, Finder
+from tactiled.contacts.detection import MAX_PEAKS, DetectedContact, Finder
 from tactiled.contacts.tracking import Tracker
 from tactiled.geometry import grid, layout, raster
 from tactiled.restore.methods import make
@@ -193,7 +193,7 @@ def test_two_contacts_with_a_dip_between_are_two_on_every_layout(array):
 
 
 def at(x, y=5.0, kpa=10.0):
-    return Contact(0, x, y, 1, 1, kpa, 1, 1, 0)
+    return DetectedContact(0, x, y, 1, 1, kpa, 1, 1, 0)
 
 
 class Tracked:

@@ -12,7 +12,7 @@ from tactiled.bus.codecs.packed import Packed
 from tactiled.bus.sniff import survey
 from tactiled.cli.sniff import report
 from tactiled.config.example import EXAMPLE
-from tactiled.frames import MISSING, SATURATED, Image, Message
+from tactiled.frames import MISSING, SATURATED, Message, SensorImage
 from tactiled.wire import HEADER, LAYOUT, pack
 from tests.cli.commands import run
 from tests.docs.markdown import fenced
@@ -41,7 +41,7 @@ def packed_fd():
 def stream_example():
     """A raw image of several sensors' stream: offset, bytes, value, meaning."""
     raw = np.array([[0.0, 12.5], [3.25, np.nan]], np.float32)
-    image = Image(
+    image = SensorImage(
         "palm", 5123, 1763712000.25, raw, raw, FLAGS, "nnls", "", 3, 62.0, 0.25, noise_gain=1.5, resolution_mm=1.0
     )
     data = pack(image, "raw", 1763712000.252, "palm")

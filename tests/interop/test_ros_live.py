@@ -16,7 +16,7 @@ from zenoh import ext
 from tactiled.build import sensor_plan
 from tactiled.config import Server, Zenoh, parse
 from tactiled.config.example import SHEAR
-from tactiled.contacts.detection import Contact
+from tactiled.contacts.detection import DetectedContact
 from tactiled.contacts.regions import Region
 from tactiled.interop.zenoh.session import open_session
 from tactiled.messages.ros import Topics
@@ -195,7 +195,7 @@ def test_the_service_is_refused_where_a_change_needs_a_claim(network):
 
 
 def test_a_wrench_has_the_force_along_the_skin_of_the_contact_that_drags():
-    contacts = tuple(Contact(n, 1.0, y, 0.5, 4.0, 10.0, 0.8, 0.6, 0.0) for n, y in enumerate((1.0, 6.0)))
+    contacts = tuple(DetectedContact(n, 1.0, y, 0.5, 4.0, 10.0, 0.8, 0.6, 0.0) for n, y in enumerate((1.0, 6.0)))
     traction = np.zeros((2, 8, 8), np.float32)
     traction[0, 1, 1], traction[1, 6, 2] = 30.0, -20.0  # kPa on 1 mm2
     image = SimpleNamespace(time=1.5, traction=traction)

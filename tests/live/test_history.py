@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tactiled.frames import Image
+from tactiled.frames import SensorImage
 from tactiled.live.history import MAX_RATE_HZ, History
 
 RAW, RESTORED = (4, 4), (8, 8)
@@ -17,7 +17,7 @@ UNLIMITED = 10**9
 
 def image(n, **fields):
     shear = np.stack([np.full(RAW, n, np.float32), np.full(RAW, -n, np.float32)])
-    made = Image(
+    made = SensorImage(
         sensor="palm", sequence=n, time=n / 100, raw=np.full(RAW, n, np.float32),
         restored=np.full(RESTORED, 10 * n, np.float32), flags=np.full(RAW, n % 2, np.uint8), method="nnls", why="",
         iterations=0, microseconds=0, noise=1, noise_gain=1, resolution_mm=1, arrived=n / 100, shear=shear,

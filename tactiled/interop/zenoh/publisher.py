@@ -20,7 +20,7 @@ from pydantic_core import from_json
 
 from tactiled.config import Zenoh
 from tactiled.errors import TactileError
-from tactiled.frames import Image
+from tactiled.frames import SensorImage
 from tactiled.interop.zenoh.session import HEARTBEAT_S, LEASE_S, Answer, Head, Request, open_session
 from tactiled.interop.zenoh.signatures import Gate, Question
 from tactiled.live.events import Event
@@ -144,7 +144,7 @@ class _Publication:
         self.sensor, self.id = sensor, secrets.token_hex(8)
         self._publisher, self._session, self._base = publisher, session, f"{publisher.root}/{sensor.name}"
         self._kinds: tuple[Kind, ...] = SHEARED if sensor.plan.shears else PRESSURES
-        self._waiting: deque[tuple[Image, int]] = deque(maxlen=1)
+        self._waiting: deque[tuple[SensorImage, int]] = deque(maxlen=1)
         self._number = 0
         self._newest: dict[str, tuple[bytes, bytes]] = {}  # message and attachment, by kind
         self._detail: tuple[tuple[object, ...], bytes] = ((), b"")
@@ -159,7 +159,7 @@ class _Publication:
             self._take(image)
         self._unsubscribe = sensor.hub.subscribe(self._take)
 
-    def _take(self, image: Image) -> None:
+    def _take(self, image: SensorImage) -> None:
         """Let an image wait, on the thread that restored it."""
         self._number += 1
         self._waiting.append((image, self._number))
@@ -220,7 +220,7 @@ class _Publication:
             text = f"another publisher (session {other}) has the name {self._base}: {outcome}: rename one"
             self._publisher.conflict(self.sensor.name, text)
 
-    def _send(self, image: Image, number: int) -> None:
+    def _send(self, image: SensorImage, number: int) -> None:
         head, made_at = Head(self.id, number, len(self._kinds)), time.time()
         values = image.why, image.method, image.calibration, image.warnings
         if values != self._detail[0]:

@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from rosbags.interfaces import Qos, QosDurability, QosReliability
 
 from tactiled.config import ros_name
-from tactiled.contacts.detection import Contact
-from tactiled.frames import Image
+from tactiled.contacts.detection import DetectedContact
+from tactiled.frames import SensorImage
 from tactiled.interop.zenoh.session import REQUEST_S, Answer, Request
 from tactiled.live.sensor import Sensor
 from tactiled.messages import ros
@@ -108,7 +108,7 @@ class Node:
         """Have the topics of the sensor as it is calibrated now."""
         self._plan = self._sensor.plan
         self._topics = ros.Topics(self._plan)
-        self._published: Image | None = None
+        self._published: SensorImage | None = None
         for topic in self._writers.keys() - set(self._topics.topics):
             self._writers.pop(topic).undeclare()
         for topic in self._topics.topics:
@@ -141,7 +141,7 @@ class Node:
             cache=ext.CacheConfig(endpoint.qos.depth), sample_miss_detection=misses,
         )  # fmt: skip
 
-    def send(self, image: Image) -> None:
+    def send(self, image: SensorImage) -> None:
         """Publish what is subscribed to of an image, or of a newer one if contacts are; nothing else is made."""
         if self._sensor.plan is not self._plan:
             self._take_plan()
@@ -150,7 +150,7 @@ class Node:
         if self._published is None:
             self._put(self._topics.first(image.time))
         topics = {name for name, writer in self._writers.items() if writer.subscribed()}
-        contacts: tuple[Contact, ...] = ()
+        contacts: tuple[DetectedContact, ...] = ()
         if topics & OF_CONTACTS:
             newest, contacts = self._sensor.contacts()
             image = newest or image

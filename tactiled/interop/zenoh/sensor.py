@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from tactiled.contacts.detection import Contact
+from tactiled.contacts.detection import DetectedContact
 from tactiled.errors import NoShearError, ReaderAnswerError, ReaderError
-from tactiled.frames import Image, Loss
+from tactiled.frames import Loss, SensorImage
 from tactiled.geometry import Array, raster, spacing
 from tactiled.interop.zenoh import messages
 from tactiled.interop.zenoh.session import HEARTBEAT_S, LOST_AFTER_S, Answer, Head, Request
@@ -248,11 +248,11 @@ class RemoteSensor:
         if not self.reported.shear:
             raise NoShearError(f"sensor {self.name!r}: its codec {self.plan.codec_name} carries no shear")
 
-    def contacts(self) -> tuple[Image | None, tuple[Contact, ...]]:
+    def contacts(self) -> tuple[SensorImage | None, tuple[DetectedContact, ...]]:
         """The newest image and the contacts in it, found here; any thread."""
         return self._tracking.contacts()
 
-    def deviation(self, image: Image) -> NDArray[np.float32]:
+    def deviation(self, image: SensorImage) -> NDArray[np.float32]:
         """Standard deviation of every cell of the newest restored image, by its reader."""
         answer = self._request(Request("GET", "frames/deviation", "format=npy"))
         if answer.status != 200:
@@ -262,7 +262,7 @@ class RemoteSensor:
         except ValueError as error:
             raise ReaderAnswerError(f"sensor {image.sensor!r}: its reader answers wrongly: {error}") from None
 
-    def note_send(self, image: Image) -> None:
+    def note_send(self, image: SensorImage) -> None:
         """Nothing: the age of its frames when they are sent is not counted here."""
 
     def stop(self) -> None:
@@ -286,7 +286,7 @@ class RemoteSensor:
             warnings = tuple(each.warning() for each in values.warnings)
             self._detail = detail, values.model_dump(exclude={"warnings"}) | {"warnings": warnings}
         shear = images["shear"].values if "shear" in images else None
-        image = Image(
+        image = SensorImage(
             sensor=self.name, sequence=raw.sequence, time=raw.timestamp, raw=raw.values,
             restored=images["restored"].values, flags=raw.flags.reshape(self._shapes["raw"]),
             iterations=raw.iterations, microseconds=raw.microseconds, noise=raw.noise, noise_gain=raw.noise_gain,

@@ -12,7 +12,7 @@ from pydantic import BaseModel, Field
 from starlette.concurrency import run_in_threadpool
 
 from tactiled.bounds import Syntax
-from tactiled.frames import Image
+from tactiled.frames import SensorImage
 from tactiled.live.history import Page
 from tactiled.live.status import Status
 from tactiled.units import PRESSURE, SHEAR, Unit
@@ -292,7 +292,7 @@ def _names(header: str, tag: str) -> bool:
     return bool(tags & {tag.removeprefix("W/"), "*"})
 
 
-def image_headers(image: Image, status: Status, unit: Unit) -> dict[str, str]:
+def image_headers(image: SensorImage, status: Status, unit: Unit) -> dict[str, str]:
     """The headers of a newest image: no client can take an old one for a new one, in any format."""
     return {
         "Cache-Control": "no-cache",
@@ -308,7 +308,7 @@ def image_headers(image: Image, status: Status, unit: Unit) -> dict[str, str]:
 
 def _newest(
     sensor: SensorView, kind: PressureKind, form: NewestFormat, top: float | None, cells: schemas.ImageCells
-) -> tuple[Image, dict[str, str]]:
+) -> tuple[SensorImage, dict[str, str]]:
     """The newest image and its headers."""
     image = sensor.hub.latest()
     if image is None:
@@ -336,7 +336,7 @@ def _newest_image(
     return Response(content, media_type=MEDIA[form], headers=headers)
 
 
-def picture(sensor: SensorView, image: Image, kind: PressureKind, top: float | None) -> Picture:
+def picture(sensor: SensorView, image: SensorImage, kind: PressureKind, top: float | None) -> Picture:
     """An image from 0 to `top`, in its unit (default: its own peak, where that stands out of the noise)."""
     values, status = answers.pressures(sensor, image, kind), sensor.status()
     age = "" if status.state == "live" else f"\n{status.state.upper()}: {status.age_s or 0.0:.1f} s old"
@@ -351,7 +351,7 @@ def picture(sensor: SensorView, image: Image, kind: PressureKind, top: float | N
     )
 
 
-def _peak(image: Image, kind: PressureKind, values: NDArray[np.float32]) -> float:
+def _peak(image: SensorImage, kind: PressureKind, values: NDArray[np.float32]) -> float:
     """End of the scale, on which noise alone is dark."""
     peak = max(float(np.nanmax(values, initial=0.0)), MIN_TOP)
     if kind == "deviation":

@@ -7,7 +7,7 @@ from contextlib import ExitStack, suppress
 from fastapi import APIRouter, Request
 from pydantic import Field
 
-from tactiled.frames import Image
+from tactiled.frames import SensorImage
 from tactiled.web import schemas
 from tactiled.web.http.limits import ConcurrencyLimit
 from tactiled.web.rest.dependencies import NamedSensor, no_frame
@@ -48,14 +48,14 @@ async def trace(sensor: NamedSensor, request: Request) -> Trace:
     """
     loop = asyncio.get_running_loop()
     traced, overtaken = (loop.create_future() for _ in range(2))
-    sends: list[tuple[Image, float]] = []
+    sends: list[tuple[SensorImage, float]] = []
 
-    def take(image: Image, published: float) -> None:
+    def take(image: SensorImage, published: float) -> None:
         future = overtaken if traced.done() else traced
         if not future.done():
             future.set_result((image, published))
 
-    def publish(image: Image) -> None:  # on the sensor's thread
+    def publish(image: SensorImage) -> None:  # on the sensor's thread
         with suppress(RuntimeError):  # a closed loop has no waiting request
             loop.call_soon_threadsafe(take, image, time.monotonic())
 

@@ -7,7 +7,7 @@ from contextlib import asynccontextmanager, contextmanager
 from threading import Lock
 from typing import NamedTuple
 
-from tactiled.frames import Image
+from tactiled.frames import SensorImage
 from tactiled.threads import FRAME_LOCK
 from tactiled.web import answers, schemas
 from tactiled.web.http.protocols import frame
@@ -40,7 +40,7 @@ class Feed:
     def __init__(self, sensor: SensorView, images: "_NewImages") -> None:
         self.sensor = sensor
         self._images = images
-        self.image: Image | None = None
+        self.image: SensorImage | None = None
         self._frames: dict[Format, list[bytes]] = {}
         self._status: schemas.StreamStatus | None = None
         self._status_key: tuple[object, ...] | None = None
@@ -74,7 +74,7 @@ class Feed:
         for wake in self._clients:
             wake()
 
-    def frames(self, image: Image, form: Format) -> list[bytes]:
+    def frames(self, image: SensorImage, form: Format) -> list[bytes]:
         """The newest image as WebSocket frames, made once for all who want it so."""
         frames = self._frames.get(form)
         if frames is None:
@@ -88,11 +88,11 @@ class Feed:
             self._frames[form] = frames
         return frames
 
-    def binary(self, image: Image, kind: Kind, named: bool) -> bytes:
+    def binary(self, image: SensorImage, kind: Kind, named: bool) -> bytes:
         """An image's bytes, its sensor's name in them if `named`."""
         return pack(image, kind, time.time(), self.sensor.name if named else "")
 
-    def _text(self, image: Image, kind: Kind, cells: schemas.ImageCells) -> str:
+    def _text(self, image: SensorImage, kind: Kind, cells: schemas.ImageCells) -> str:
         if kind == "shear":
             return answers.shear(self.sensor, image).model_dump_json()
         if kind == "traction":
@@ -129,7 +129,7 @@ class Feed:
         contacts = answers.contacts(self.sensor)
         return None if contacts is None else ContactsFrame(contacts.sequence, frame(contacts.model_dump_json()))
 
-    def renew(self, image: Image | None) -> None:
+    def renew(self, image: SensorImage | None) -> None:
         """Wake every client for a new image."""
         self.image = image
         self._frames.clear()
@@ -146,9 +146,9 @@ class _NewImages:
 
     def __init__(self) -> None:
         self._lock = Lock()
-        self._images: dict[Feed, Image] = {}
+        self._images: dict[Feed, SensorImage] = {}
 
-    def hand_over(self, loop: asyncio.AbstractEventLoop, feed: Feed, image: Image) -> None:
+    def hand_over(self, loop: asyncio.AbstractEventLoop, feed: Feed, image: SensorImage) -> None:
         """Have the loop take an image; a closed loop has no clients. Any thread."""
         with self._lock:
             is_first = not self._images

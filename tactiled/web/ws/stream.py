@@ -10,7 +10,7 @@ from fastapi import APIRouter, WebSocket, WebSocketDisconnect
 from uvicorn.protocols.utils import ClientDisconnected
 
 from tactiled.errors import NoShearError, UnknownSensorError
-from tactiled.frames import Image
+from tactiled.frames import SensorImage
 from tactiled.live.events import Faults
 from tactiled.web.http.problems import close_reason
 from tactiled.web.ws.feed import TICK_S, ContactsFrame, Feed, Feeds, Format
@@ -101,7 +101,7 @@ class _Line:
         self.feed, self.form = feed, form
         self.wake: Callable[[], None] = lambda: None  # until the stream runs
         self.listening = ExitStack()
-        self.image: Image | None = None
+        self.image: SensorImage | None = None
         self.image_timer, self.status_timer, self.contacts_timer = _Timer(), _Timer(), _Timer()
         self.status_key: tuple[object, ...] = ()
         self.status_at = 0.0
