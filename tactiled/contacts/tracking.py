@@ -12,6 +12,7 @@ MAX_STEP_PITCHES = 3.0  # from where a contact was, or should be by its speed
 MAX_FAINT_STEP_PITCHES = 1.0  # the same of one that has become faint
 MAX_LONE_SPEED = 100.0  # pitches a second that one may go beyond that where no other is near
 SPEED_GAIN = 0.5  # share of the difference from the predicted place that changes the speed
+CHANGE_PITCHES = 0.5  # a link counts as longer by, for each factor e of area: a ring is not what it surrounds
 GONE_AFTER_S = 0.2  # until then a contact may come back
 FORBIDDEN = 1e6  # cost of a link: more than any number of links within reach
 
@@ -23,26 +24,28 @@ class _Track:
     id: int
     place: Floats  # (2,) mm, in the last image that had it
     speed: Floats  # (2,) mm/s
+    area: float  # mm2
     age: float = 0.0  # s since then
 
     def predicted(self) -> Floats:
         """Where it should be now, mm."""
         return self.place + self.speed * self.age if self.age <= GONE_AFTER_S else self.place
 
-    def move(self, place: Floats) -> None:
-        """It is at a place (mm) now."""
+    def move(self, place: Floats, area: float) -> None:
+        """It is at a place (mm) now, with an area (mm2)."""
         if self.age > GONE_AFTER_S:
             self.speed = np.zeros(2)
         elif self.age > 0:
             self.speed = self.speed + SPEED_GAIN * (place - self.predicted()) / self.age
-        self.place, self.age = place, 0.0
+        self.place, self.area, self.age = place, area, 0.0
 
 
 class Tracker:
     """Gives a contact the same id from image to image.
 
-    It links as many as it can within a reach of where they were or should be, by the shortest ways; then the
-    others, if they are alone, over the way that swift ones go. A contact may come back within GONE_AFTER_S.
+    It links as many as it can within a reach of where they were or should be, by the shortest ways and the least
+    changes of area; then the others, if they are alone, over the way that swift ones go. A contact may come back
+    within GONE_AFTER_S.
     """
 
     def __init__(self, pitch_mm: float) -> None:
@@ -63,31 +66,34 @@ class Tracker:
             each.age += elapsed
         clear = np.array([each.peak > begin for each in contacts], bool)
         places = np.array([(each.x_mm, each.y_mm) for each in contacts]).reshape(-1, 2)
-        links = self._links(places, clear, elapsed)
+        areas = np.array([each.area_mm2 for each in contacts])
+        links = self._links(places, areas, clear, elapsed)
         named = []
         for number, contact in enumerate(contacts):
             track = links.get(number)
             if track is None and clear[number]:
-                track = self._begin(places[number])
+                track = self._begin(places[number], contact.area_mm2)
             if track is not None:
-                track.move(places[number])
+                track.move(places[number], contact.area_mm2)
                 named.append(replace(contact, id=track.id))
         self._tracks = [each for each in self._tracks if each.age < GONE_AFTER_S]
         return named
 
-    def _begin(self, place: Floats) -> _Track:
-        track, self._next_id = _Track(self._next_id, place, np.zeros(2)), self._next_id + 1
+    def _begin(self, place: Floats, area: float) -> _Track:
+        track, self._next_id = _Track(self._next_id, place, np.zeros(2), area), self._next_id + 1
         self._tracks.append(track)
         return track
 
-    def _links(self, places: Floats, clear: Mask, elapsed: float) -> dict[int, _Track]:
+    def _links(self, places: Floats, areas: Floats, clear: Mask, elapsed: float) -> dict[int, _Track]:
         """The tracks that these contacts go on, by the contacts' numbers; `elapsed` (s) since the last image."""
         if not len(places) or not self._tracks:
             return {}
         ends = np.array([[each.place for each in self._tracks], [each.predicted() for each in self._tracks]])
         distance = np.linalg.norm(places[:, None] - ends[:, None], axis=-1).min(axis=0) / self._pitch
         within = distance <= np.where(clear, MAX_STEP_PITCHES, MAX_FAINT_STEP_PITCHES)[:, None]
-        pairs = zip(*linear_sum_assignment(np.where(within, distance, FORBIDDEN)), strict=True)
+        change = np.abs(np.log(areas[:, None] / np.array([each.area for each in self._tracks])))
+        costs = np.where(within, distance + CHANGE_PITCHES * change, FORBIDDEN)
+        pairs = zip(*linear_sum_assignment(costs), strict=True)
         links = {int(row): int(column) for row, column in pairs if within[row, column]}
         if elapsed <= GONE_AFTER_S:
             swift = (distance <= MAX_STEP_PITCHES + MAX_LONE_SPEED * elapsed) & clear[:, None]

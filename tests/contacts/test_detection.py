@@ -192,8 +192,8 @@ def test_two_contacts_with_a_dip_between_are_two_on_every_layout(array):
     assert len(find(image.reshape(cells.shape).astype(np.float32), 0.1)) == 1
 
 
-def at(x, y=5.0, kpa=10.0):
-    return DetectedContact(0, x, y, 1, 1, kpa, 1, 1, 0)
+def at(x, y=5.0, kpa=10.0, area=1):
+    return DetectedContact(0, x, y, 1, area, kpa, 1, 1, 0)
 
 
 class Tracked:
@@ -215,6 +215,8 @@ PAUSE = 10.0
     [
         # a contact keeps its id while it lasts, in whatever order
         [((at(0), at(10)), [1, 2]), ((at(9), at(1)), [2, 1]), ((at(8), at(1, 6), at(1, 14)), [2, 1, 3])],
+        # a ring and what is within it keep their ids, though noise moves their centres past each other
+        [((at(0, area=95), at(0.1, area=38)), [1, 2]), ((at(0.1, area=90), at(0, area=41)), [1, 2])],
         # a newcomer takes no id from one that has become faint
         [((at(0),), [1]), ((at(6), at(0.1, kpa=3.0)), [2, 1]), ((at(6), at(0.1, kpa=3.0)), [2, 1])],
         # one is lifted, another put down too far off
