@@ -25,6 +25,7 @@ FLAG_BITS = {
     "FAULTY": FAULTY, "BELOW_ZERO": BELOW_ZERO,
 }  # fmt: skip
 UNKNOWN = MISSING | BAD | DEAD | FAULTY | BELOW_ZERO  # of such a taxel there is no pressure
+LOST = MISSING | BELOW_ZERO  # of these, what a frame has lost: others are inferred in every frame
 NOISE_UNKNOWN = "noise_unknown"  # the code of the warning of an image whose noise is not measured yet
 UNSURE = 3.0  # times the median taxel: twice normal noise (1.48), as some cells are noisier than their mean
 CONFIGURED = "configured"  # the calibration of an image where there is no calibration file

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from tactiled.arrays import Flags, Floats, Floats32
 from tactiled.client.display import html
 from tactiled.client.stream import Cells, Image, ImageCells
-from tactiled.frames import FrameWarning
+from tactiled.frames import LOST, FrameWarning
 from tactiled.units import FORCE_SCALES, ForceUnit, Unit
 from tactiled.wire import Kept
 
 Answer = tuple[bytes, HTTPMessage]  # content and headers
-MAX_UNKNOWN = 0.2  # of an image's cells, with more of which its force is unknown
+MAX_LOST = 0.2  # of an image's taxels, with more of which its force is unknown
 ARRAYS = "sequence", "time", "method", "flags", "values"  # of a window
 
 
@@ -152,24 +152,24 @@ def parse(kind: Any, data: Any) -> Any:
 
 
 def measured(image: Image, geometry: Mapping[str, Any], values: ImageCells = "raster") -> Image:
-    """The image with its cells and its total force (N, counts mm2), NaN where too few cells are known.
+    """The image with its cells and its total force (N, counts mm2), NaN where a cell is unknown.
 
     Of one value a taxel the force is over what each taxel stands for, and there are no cells.
     """
     if values == "taxels":
         areas = np.array(geometry["areas_mm2"] or geometry["pitch_mm"] ** 2)
-        return replace(image, force=_force(image.restored.ravel(), areas, image.unit))
+        return replace(image, force=_force(image, image.restored.ravel(), areas))
     side_mm, origin_mm, mask = (geometry["restored"].get(key) for key in ("cell_mm", "origin_mm", "mask"))
     felt = np.ones(image.restored.shape, bool) if mask is None else np.array(mask, bool)
-    force = _force(image.restored[felt], side_mm**2, image.unit)
+    force = _force(image, image.restored[felt], side_mm**2)
     cells = None if origin_mm is None else Cells(side_mm, (origin_mm[0], origin_mm[1]), felt)  # None: of 0.4.2
     return replace(image, cells=cells, force=force)
 
 
-def _force(pressure: Floats32, areas: Any, unit: Unit) -> float:
-    """Total force over areas (mm2), N or counts mm2; NaN where too little is known."""
-    known = np.isnan(pressure).mean() <= MAX_UNKNOWN
-    return float(np.nansum(pressure * areas)) * FORCE_SCALES[unit] if known else np.nan
+def _force(image: Image, pressure: Floats32, areas: Any) -> float:
+    """Total force of pressure over areas (mm2), N or counts mm2; NaN where it is unknown, as for the service."""
+    known = (image.flags & LOST > 0).mean() <= MAX_LOST
+    return float((pressure * areas).sum()) * FORCE_SCALES[image.unit] if known else np.nan
 
 
 def parse_window(sensor: str, kind: Kept, pages: Sequence[Answer]) -> Window:

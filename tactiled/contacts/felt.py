@@ -9,13 +9,13 @@ from functools import lru_cache
 import numpy as np
 
 from tactiled.arrays import Flags, Floats32, Mask, Reals
-from tactiled.frames import BELOW_ZERO, MISSING, UNKNOWN
+from tactiled.frames import BELOW_ZERO, LOST, UNKNOWN
 from tactiled.restore.blur import Blur
 from tactiled.restore.scene import MIN_REACH
 
 # `python -m tests.bench felt` measures what is wrong at each share.
 MIN_CELL_SHARE = 0.2  # with less an image misses over half of the pressure on a cell
-MIN_SUM_SHARE = 0.8  # of a region or contact, whose force is then right to 15 % in nine of ten
+MIN_SUM_SHARE = 0.8  # of a region or contact without an unknown cell, whose force is then right to 15 %
 KEPT_SHARES = 64  # taxels that never come are the same ones in each frame
 
 
@@ -33,7 +33,7 @@ def shares(flags: Flags, blur: Blur) -> Floats32 | None:
         return None
     if (flags & UNKNOWN != 0).all():
         return np.zeros(blur.surface_shape, np.float32)
-    return _left(flags, MISSING | BELOW_ZERO, blur)
+    return _left(flags, LOST, blur)
 
 
 def unknown_cells(flags: Flags, blur: Blur, share: Floats32) -> Mask:

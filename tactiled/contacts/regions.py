@@ -95,12 +95,11 @@ class RegionMeter:
         self._area = cells.side**2
 
     def __call__(self, image: SensorImage) -> Measures:
-        """What an image holds in the region; nothing is known where too little of it is left."""
+        """What an image holds in the region; nothing where a cell is unknown: a contact may be on it."""
         pressure = image.restored.reshape(-1)[self._cells]
-        if image.shares is not None and not is_known(image.shares.reshape(-1)[self._cells].mean(), summed=True):
+        if np.isnan(pressure).any():
             return NOT_KNOWN
-        pressure = pressure[~np.isnan(pressure)]
-        if not len(pressure):
+        if image.shares is not None and not is_known(image.shares.reshape(-1)[self._cells].mean(), summed=True):
             return NOT_KNOWN
         total = float(pressure.sum(dtype=float))
         contact = self._area * np.count_nonzero(pressure > CONTACT_SIGMAS * image.cell_noise)

@@ -6,7 +6,7 @@ import numpy as np
 import typer
 
 from tactiled.cli.bench import print_table
-from tactiled.contacts.felt import shares
+from tactiled.contacts.felt import is_known, shares
 from tactiled.frames import MISSING
 from tactiled.restore.methods import make
 from tests.bench.judge import THICKNESSES
@@ -54,14 +54,13 @@ def felt(
             corner, sides = random.integers(0, size - 3, 2), random.integers(3, 8, 2)
             region = tuple(slice(a, a + n) for a, n in zip(corner, sides, strict=True))
             true = press.truth[region].sum()
-            if true > 0.02 * press.truth.sum():
+            if true > 0.02 * press.truth.sum() and is_known(share[region]).all():
                 forces.append((share[region].mean(), abs(image[region].sum() / true - 1)))
     cells, forces = np.array(cells), np.array(forces)
     rows = []
     for low in BINS:
         some, sums = (each[(each[:, 0] >= low) & (each[:, 0] < low + 0.0999)] for each in (cells, forces))
         error, pressure = np.sqrt(np.mean(some[:, 1:] ** 2, axis=0))
-        rows.append(
-            (f"{low:.1f}", f"{error / pressure:.2f}", *(f"{np.quantile(sums[:, 1], q):.2f}" for q in (0.5, 0.9)))
-        )
+        wrong = [f"{np.quantile(sums[:, 1], q):.2f}" if len(sums) else "unknown" for q in (0.5, 0.9)]
+        rows.append((f"{low:.1f}", f"{error / pressure:.2f}", *wrong))
     print_table("Shares that lost messages leave", HEADINGS, rows)

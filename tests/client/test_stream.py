@@ -24,6 +24,7 @@ from tactiled.client.results import measured
 from tactiled.client.stream import TOO_MANY, Inbox, Service, Stream
 from tactiled.config import Server
 from tactiled.errors import ConfigError, TactileError
+from tactiled.frames import MISSING
 from tactiled.frames import SensorImage as Frame
 from tactiled.web.server import running
 from tactiled.wire import pack
@@ -61,7 +62,9 @@ def test_images_are_arrays_in_order_with_the_status(playing, url):
     assert image.force == pytest.approx(1e-3 * image.restored.sum(), rel=1e-6)  # cells of 1 mm2, kPa
     other = run_apart(afirst(url))
     assert other.force == pytest.approx(1e-3 * other.restored.sum(), rel=1e-6)
-    holes = replace(image, restored=np.where(np.arange(64).reshape(8, 8) < 16, np.nan, image.restored))
+    holes = replace(image, restored=np.where(np.arange(64).reshape(8, 8) < 1, np.nan, image.restored))
+    lost = replace(image, flags=np.where(np.arange(64).reshape(8, 8) < 13, MISSING, image.flags))
+    assert math.isnan(measured(lost, {"restored": {"cell_mm": 1.0}}).force)
     assert math.isnan(measured(holes, {"restored": {"cell_mm": 1.0}}).force)
     mask = np.isfinite(holes.restored)  # of a layout, whose taxels feel no more
     made = measured(holes, {"restored": {"cell_mm": 2.0, "origin_mm": [1.0, 0.5], "mask": mask.tolist()}})

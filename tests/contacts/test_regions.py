@@ -26,21 +26,22 @@ def test_a_region_has_the_cells_inside_its_outline(shape, points, area, centre):
     assert CELLS.positions[inside].mean(axis=0) == pytest.approx(centre, abs=0.12)
 
 
-def test_force_mean_peak_and_contact_area_are_of_the_cells_that_are_known():
+def test_force_mean_peak_and_contact_area_are_of_a_region_whose_every_cell_is_known():
     measure = RegionMeter(Region(shape="rectangle", points_mm=[[-0.25, -0.25], [4.75, 4.75]]), CELLS)
     image = np.full((40, 60), 7.0, np.float32)
     image[:10, :10] = 0.2
-    image[2, 3], image[4, 4], image[5, 5] = 30.0, 10.0, np.nan
+    image[2, 3], image[4, 4], image[15, 5] = 30.0, 10.0, np.nan
     values = measure(restored(image))
-    total = (97 * 0.2 + 30 + 10) * 0.25
-    assert values == pytest.approx((total * 1e-3, total / (99 * 0.25), 30.0, 0.5))
+    total = (98 * 0.2 + 30 + 10) * 0.25
+    assert values == pytest.approx((total * 1e-3, total / (100 * 0.25), 30.0, 0.5))
     assert measure(restored(image, "counts")).force == pytest.approx(total)
-    assert np.isnan(measure(restored(np.full((40, 60), np.nan)))).all()  # no taxel has data
     shares = np.ones((40, 60), np.float32)
-    shares[:10, 8:] = 0.05  # and all outside the region
+    shares[:10, 6:] = 0.5  # and all outside the region
     assert measure(restored(image, shares=shares)) == pytest.approx(values)
-    shares[:10, 7:] = 0.05
+    shares[:10, 5:] = 0.5
     assert np.isnan(measure(restored(image, shares=shares))).all()
+    image[5, 5] = np.nan  # a contact may be on it
+    assert np.isnan(measure(restored(image))).all()
 
 
 @pytest.mark.parametrize(

@@ -5,7 +5,7 @@ import { line } from "../../tactiled/web/static/charts/chart.js";
 import { highestAlong, sample } from "../../tactiled/web/static/charts/cross_section.js";
 import { ContactOutline } from "../../tactiled/web/static/maps/contact_outline.js";
 import { Plane } from "../../tactiled/web/static/maps/geometry.js";
-import { measure, measures } from "../../tactiled/web/static/maps/measures.js";
+import { measure, measures, rawMayLack, restoredMayLack } from "../../tactiled/web/static/maps/measures.js";
 import { placeNames } from "../../tactiled/web/static/maps/region_layer.js";
 import { cellsIn, measureRegion } from "../../tactiled/web/static/maps/region_measure.js";
 
@@ -75,19 +75,29 @@ test("on a layout that is no grid it takes the taxels within half a pitch, in th
 test("force, peak and centre leave out taxels without data, and noise is no contact", () => {
   const plane = grid(2, 3);
   const image = measures();
-  measure(Float32Array.from([NaN, 0, 10, 0, 0, 30]), plane.raw, 0.5, image);
+  const some = rawMayLack(plane.raw);
+  measure(Float32Array.from([NaN, 0, 10, 0, 0, 30]), plane.raw, 0.5, image, 0, some);
   assert.deepEqual([image.force, image.peak, image.peakIndex, image.unknown], [0.16, 30, 5, 1]);
   assert.deepEqual([image.contact, image.x, image.y, image.peakX, image.peakY], [true, 4, 1.5, 4, 2]);
   measure(Float32Array.from([0, 0, 10, 0, 0, 30]), plane.raw, 7, image);
   assert.deepEqual([image.contact, image.x, image.peakX], [false, NaN, NaN]);
   measure(new Float32Array(6).fill(NaN), plane.raw, 0, image);
   assert.deepEqual([image.force, image.peak, image.peakIndex], [NaN, NaN, -1]);
-  measure(Float32Array.from([NaN, 0, 10, NaN, 0, 30]), plane.raw, 0.5, image);  // a third is unknown
-  assert.deepEqual([image.force, image.peak, image.contact, image.unknown], [NaN, NaN, false, 2]);
+  measure(Float32Array.from([NaN, 0, 10, NaN, 0, 30]), plane.raw, 0.5, image, 0, some);  // a third is unknown
+  assert.deepEqual([image.force, image.peak, image.contact, image.unknown, image.highest], [NaN, NaN, false, 2, 30]);
   measure(Float32Array.from([1, 1, 1, 1]), scattered().raw, 0, image);
   assert.equal(image.force, 0.01);
   measure(Float32Array.from(MASK.flat(), (felt) => (felt ? 2 : NaN)), scattered().restored, 0, image);
   assert.deepEqual([image.force, image.unknown], [0.045, 0]); // of ten cells: the other two feel nothing
+});
+
+test("of a restored image nothing is known where a cell is unknown, or too many taxels are lost", () => {
+  const plane = grid(2, 3);
+  const image = measures();
+  for (const [first, flags, known] of [[NaN, [1, 0, 0, 0, 0, 0], false], [0, [1, 0, 0, 0, 0, 0], true], [0, [1, 64, 0, 0, 0, 0], false], [0, [4, 4, 0, 0, 0, 0], true]]) {
+    measure(Float32Array.from([first, 0, 10, 0, 0, 30]), plane.restored, 0.5, image, 0, restoredMayLack(Uint8Array.from(flags)));
+    assert.deepEqual([image.force, image.peak, image.highest], known ? [0.16, 30, 30] : [NaN, NaN, 30]);
+  }
 });
 
 test("outlines are of the frame that is shown, wherever its contacts were found", () => {

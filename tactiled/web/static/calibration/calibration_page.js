@@ -369,7 +369,7 @@ export class CalibrationPage {
       for (const each of this._ranges) each.reset();
     }
     const { ofRaw, raw, unit, noise, timestamp } = session.frame;
-    this._ranges[unit].follow(ofRaw.peak || 0, noise || 0, timestamp);
+    this._ranges[unit].follow(ofRaw.highest || 0, noise || 0, timestamp);
     this._heatmap.paint(raw, this._ranges[unit], colormap);
     setText(byId("calibrate-peak"), `peak ${pressureText(ofRaw.peak, unit)}`);
   }

@@ -44,7 +44,7 @@ export function reportHtml({ title, frame, plane, origin, pictures, contacts, re
   const { unit, ofRaw, ofRestored } = frame;
   const [force, pressure] = [`, ${FORCE_UNITS[unit]}`, `, ${UNITS[unit]}`];
   const area = (/** @type {Float32Array} */ values, /** @type {number} */ gain, /** @type {import("../maps/geometry.js").Cells} */ cells) =>
-    number(measureRegion([...cells.x.keys()].filter((i) => cells.area[i]), { ...frame, restored: values, noiseGain: gain }, cells)?.area ?? NaN);
+    number(measureRegion([...cells.x.keys()].filter((i) => cells.area[i] && (values === frame.restored || values[i] === values[i])), { ...frame, restored: values, noiseGain: gain }, cells)?.area ?? NaN);
   const both = [
     ["", "raw", "restored"],
     [`force${force}`, forceNumber(ofRaw.force, unit), forceNumber(ofRestored.force, unit)],

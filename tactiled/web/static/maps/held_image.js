@@ -1,6 +1,6 @@
 /** Images over time: the highest of each cell since a moment, or the mean of the last seconds. @module */
 
-import { measure, measures } from "./measures.js";
+import { measure, measures, rawMayLack } from "./measures.js";
 
 /** @import { Frame, FrameHistory } from "../wire/frame_history.js" */
 /** @import { Plane } from "./geometry.js" */
@@ -77,7 +77,7 @@ export class HeldImage {
   _hold(frame, plane) {
     const { _raw: raw, _restored: restored, _ofRaw: ofRaw, _ofRestored: ofRestored } = this;
     const noise = frame.noise || 0;
-    measure(raw, plane.raw, noise, ofRaw, frame.unit);
+    measure(raw, plane.raw, noise, ofRaw, frame.unit, rawMayLack(plane.raw));
     measure(restored, plane.restored, noise * (frame.noiseGain || 1), ofRestored, frame.unit);
     this._frame = { ...frame, raw, restored, ofRaw, ofRestored, sheared: false };
   }

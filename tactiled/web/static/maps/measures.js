@@ -6,8 +6,9 @@ import { FORCE_SCALES } from "../shell/units.js";
 
 /**
  * @typedef {object} Measures NaN where too few cells are known
- * @property {number} force over every cell that is known
+ * @property {number} force
  * @property {number} peak
+ * @property {number} highest of the cells that are known
  * @property {number} peakIndex -1 where nothing is known
  * @property {number} peakX mm, of the peak of a contact; NaN without one
  * @property {number} peakY mm
@@ -18,24 +19,26 @@ import { FORCE_SCALES } from "../shell/units.js";
  */
 
 const CLEAR = 5; // noise deviations from which a peak is a contact
-const MAX_UNKNOWN = 0.2; // of all cells, as of a region's: `contacts/felt.py`
+const MAX_LOST = 0.2; // of all taxels, with more of which nothing is known: `contacts/felt.py`
+const LOST = 1 | 64; // flags: missing, far below zero
 const SHARE = 0.1; // of the peak from which a cell counts towards the centre
 
 /** @returns {Measures} */
 export function measures() {
-  return { force: NaN, peak: NaN, peakIndex: -1, peakX: NaN, peakY: NaN, contact: false, x: NaN, y: NaN, unknown: 0 };
+  return { force: NaN, peak: NaN, highest: NaN, peakIndex: -1, peakX: NaN, peakY: NaN, contact: false, x: NaN, y: NaN, unknown: 0 };
 }
 
 /**
- * Measure an image.
+ * Measure an image; of a restored one nothing is known where a cell is not, as a contact may be on it.
  * @param {Float32Array} values
  * @param {Cells} cells
  * @param {number} noise standard deviation of one cell
  * @param {Measures} into
  * @param {number} [unit] of the values, which force follows
+ * @param {number} [mayLack] cells that may be unknown
  */
-export function measure(values, cells, noise, into, unit = 0) {
-  const { count, x, y, area, felt } = cells;
+export function measure(values, cells, noise, into, unit = 0, mayLack = 0) {
+  const { count, x, y, area } = cells;
   let sum = 0;
   let peak = -Infinity;
   let peakIndex = -1;
@@ -52,7 +55,8 @@ export function measure(values, cells, noise, into, unit = 0) {
       }
     }
   }
-  if (unknown > MAX_UNKNOWN * felt) {
+  into.highest = peakIndex < 0 ? NaN : peak;
+  if (unknown > mayLack) {
     sum = peak = NaN;
     peakIndex = -1;
   }
@@ -82,4 +86,14 @@ export function measure(values, cells, noise, into, unit = 0) {
     into.x = mx / weight;
     into.y = my / weight;
   }
+}
+
+/** @param {Cells} taxels @returns {number} of a raw image, taxels that may be unknown */
+export const rawMayLack = (taxels) => MAX_LOST * taxels.felt;
+
+/** @param {Uint8Array} flags of the taxels @returns {number} of a restored image, cells that may be unknown: none, -1 where too many taxels are lost */
+export function restoredMayLack(flags) {
+  let lost = 0;
+  for (let i = 0; i < flags.length; i += 1) if (flags[i] & LOST) lost += 1;
+  return lost > MAX_LOST * flags.length ? -1 : 0;
 }

@@ -7,7 +7,6 @@ import { FORCE_SCALES } from "../shell/units.js";
 /** @import { Cells } from "./geometry.js" */
 
 const CONTACT_DEVIATIONS = 3; // of the noise above which a cell is in contact
-const MAX_UNKNOWN = 0.2; // of its cells, with more of which nothing is known
 
 /** @typedef {{force: number, mean: number, peak: number, area: number}} RegionMeasures */
 
@@ -35,13 +34,12 @@ function inPolygon(points, x, y) {
   return inside;
 }
 
-/** @param {number[]} region cells @param {Frame} frame @param {Cells} cells @returns {RegionMeasures|null} null where too little is known */
+/** @param {number[]} region cells @param {Frame} frame @param {Cells} cells @returns {RegionMeasures|null} null where a cell is unknown */
 export function measureRegion(region, { restored, noise, noiseGain, unit }, { area }) {
   const clear = CONTACT_DEVIATIONS * (noise || 0) * Math.max(1, noiseGain || 0);
-  const known = region.filter((i) => restored[i] === restored[i]);
-  if (!known.length || region.length - known.length > MAX_UNKNOWN * region.length) return null;
+  if (!region.length || region.some((i) => restored[i] !== restored[i])) return null;
   let [sum, size, peak, pressed] = [0, 0, -Infinity, 0];
-  for (const i of known) {
+  for (const i of region) {
     sum += restored[i] * area[i];
     size += area[i];
     peak = Math.max(peak, restored[i]);

@@ -198,7 +198,7 @@ export class Tile {
     this.unit = image.unit;
     this.noise = (image.noise || 0) * Math.max(1, image.noiseGain || 1);
     measure(this._values, plane.restored, this.noise, this._of, image.unit);
-    this.peak = this._of.peak || 0;
+    this.peak = this._of.highest || 0;
   }
 
   /** Let the newest image be painted. */

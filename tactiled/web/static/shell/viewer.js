@@ -432,8 +432,8 @@ export class Viewer {
 /** @param {Session|PlaybackSession} session @returns {number} how far back in the history the frame is that it shows */
 const placeOf = (session) => (session instanceof Session ? session.back + session.freshness.heldBack : 0);
 
-/** @param {Frame} frame @returns {number} the higher peak of both images */
-const peakOf = (frame) => Math.max(frame.ofRaw.peak || 0, frame.ofRestored.peak || 0);
+/** @param {Frame} frame @returns {number} the highest pressure that both images know */
+const peakOf = (frame) => Math.max(frame.ofRaw.highest || 0, frame.ofRestored.highest || 0);
 
 /** @param {Frame} frame @returns {number} the larger noise of both images; 0 where it is unknown */
 const noiseOf = ({ noise, noiseGain }) => (Number.isFinite(noise) ? noise : 0) * Math.max(1, Number.isFinite(noiseGain) ? noiseGain : 1);

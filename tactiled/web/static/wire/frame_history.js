@@ -1,7 +1,7 @@
 /** The last seconds of a sensor, in buffers that are allocated once. @module */
 
 import { isImageOf } from "../maps/geometry.js";
-import { measure, measures } from "../maps/measures.js";
+import { measure, measures, rawMayLack, restoredMayLack } from "../maps/measures.js";
 import { METHODS, RAW, RESTORED, SHEAR, TRACTION } from "./wire.js";
 
 /** @import { Plane } from "../maps/geometry.js" */
@@ -164,8 +164,8 @@ export class FrameHistory {
     frame.method = METHODS[restored.method] ?? "";
     const noise = Number.isFinite(frame.noise) ? frame.noise : 0;
     const gain = Number.isFinite(frame.noiseGain) ? frame.noiseGain : 1;
-    measure(frame.raw, this._plane.raw, noise, frame.ofRaw, frame.unit);
-    measure(frame.restored, this._plane.restored, noise * gain, frame.ofRestored, frame.unit);
+    measure(frame.raw, this._plane.raw, noise, frame.ofRaw, frame.unit, rawMayLack(this._plane.raw));
+    measure(frame.restored, this._plane.restored, noise * gain, frame.ofRestored, frame.unit, restoredMayLack(frame.flags));
     this.times[frame.place] = frame.timestamp;
     this.trace.push(frame.timestamp, frame.ofRaw.force, frame.ofRestored.force);
     this.latencies[frame.place] = NaN;
