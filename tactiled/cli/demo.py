@@ -23,7 +23,7 @@ from tactiled.cli import options
 from tactiled.cli.app import stoppable
 from tactiled.cli.simulate import simulated
 from tactiled.config import Config, Server, parse, validated
-from tactiled.config.example import EXAMPLE, GRASP, SHEAR
+from tactiled.config.example import DEMO, GRASP, SHEAR
 from tactiled.config.schema import LOOPBACK
 from tactiled.errors import ConfigError
 from tactiled.frames import Message
@@ -141,16 +141,10 @@ def _server(host: str, port: int, foxglove: int | None, recordings: str) -> Serv
 
 
 def demo_config(record: str | None = None, shear: bool = False) -> Config:
-    """The configuration of a recorded grasp, of a 3-axis skin, or of both the latter and `tactiled init`'s array.
-
-    That array has a thicker cover here, which blurs more, and the skin beside it finer cells.
-    """
+    """The configuration of a recorded grasp, of a 3-axis skin, or of the demo's two arrays."""
     if record and shear:
         raise ConfigError(f"--shear: recording {record} has none: leave one of the two out")
-    skin = SHEAR[SHEAR.index("[sensor.skin]") :]
-    fine = skin.replace("[sensor.skin.codec]", "refine = 2\n\n[sensor.skin.codec]", 1)
-    both = EXAMPLE.replace("thickness_mm = 1.2", "thickness_mm = 2.0") + fine
-    text = GRASP if record else SHEAR if shear else both
+    text = GRASP if record else SHEAR if shear else DEMO
     return parse(text.replace(REAL_BUS, VIRTUAL_BUS), "demo")
 
 

@@ -7,14 +7,16 @@ import typer
 
 from tactiled.cli.options import choose, write_configuration
 from tactiled.config import icub
-from tactiled.config.example import EXAMPLE
+from tactiled.config.example import DEMO, EXAMPLE
 from tactiled.config.ready import READY, configuration
 from tactiled.errors import ConfigError
 
 
 def init(
     path: Annotated[Path, typer.Argument(help="File to write; never overwritten.")] = Path("tactiled.toml"),
-    skin: Annotated[str | None, typer.Option(help="Of a skin: " + ", ".join(READY) + ".")] = None,
+    skin: Annotated[
+        str | None, typer.Option(help="Of a skin: " + ", ".join(READY) + "; demo: of the demo's two.")
+    ] = None,
     from_icub: Annotated[
         Path | None, typer.Option(help="Of the boards in this file of an iCub or ergoCub (PART-skinSpec.xml).")
     ] = None,
@@ -28,7 +30,7 @@ def init(
     if skin is not None:
         if from_icub is not None:
             raise ConfigError(f"--skin {skin}: --from-icub says it: leave one of them out")
-        text = configuration(choose("skin", skin, READY))
+        text = DEMO if choose("skin", skin, (*READY, "demo")) == "demo" else configuration(skin)
     else:
         text = EXAMPLE if from_icub is None else icub.configuration(from_icub, positions)
     write_configuration(path, text)

@@ -38,6 +38,7 @@ MAX_RANGE_KPA = 70_000.0  # 16 bits of 1 kPa have 65 535; presses use films of 2
 MIN_RANGE_KPA = 1.0  # a gentle touch is up to 10 kPa (Mannsfeld et al. 2010)
 MIN_RANGE_FRACTION = 0.1  # of the full scale, from no load in the direction of pressure
 MAX_NOISE_FRACTION = 0.2  # of the range
+MAX_GAIN_RATIO = 3.0  # between kpa_per_count and what the DBC file says: taxels of one array differ less
 MAX_STALE_S = 60.0  # robots react within seconds; slow surveys may want more
 MESSAGE_S = 1e-4  # on the bus: 8 bytes at 1 Mbit/s are 111 bits, 64 bytes of CAN FD at 8 Mbit/s as long
 KPA = {"Pa": 1e-3, "hPa": 0.1, "mbar": 0.1, "kPa": 1.0, "bar": 100.0, "MPa": 1e3}  # of units in DBC files
@@ -91,17 +92,23 @@ def _sensor(place: str, sensor: schema.Sensor) -> Iterator[Finding]:
     yield from _shell(place, sensor)
     yield from _calibration(f"{place}.calibration", sensor.calibration, calibration, codec)
     yield from _age(f"{place}.stale_after_s", sensor.stale_after_s, codec)
-    if isinstance(codec, Dbc) and sensor.calibration.kpa_per_count is None and calibration.curves is None:
-        yield from _scaling(f"{place}.calibration", codec)
+    if isinstance(codec, Dbc) and calibration.curves is None:
+        yield from _scaling(f"{place}.calibration", codec, sensor.calibration.kpa_per_count)
 
 
-def _scaling(place: str, codec: Dbc) -> Iterator[Finding]:
-    """What a DBC file says of its signals' pressure, which no setting says."""
+def _scaling(place: str, codec: Dbc, given: float | None) -> Iterator[Finding]:
+    """What a DBC file says of its signals' pressure, where no setting says it, or another gain."""
     scale, offset, unit = codec.scaling or (0.0, 0.0, "")
-    if unit in KPA and scale:
-        values = f"kpa_per_count = {scale * KPA[unit]:g} and no_load = {0.0 - offset / scale:g}"
+    if not (unit in KPA and scale):
+        return
+    gain = scale * KPA[unit]
+    values = f"kpa_per_count = {gain:g} and no_load = {0.0 - offset / scale:g}"
+    if given is None:
         reason = f"counts without kpa_per_count; {values} by scale, offset and unit of the DBC file"
         yield Finding(place, "", reason, hint=True)
+    elif not 1 / MAX_GAIN_RATIO < given / gain < MAX_GAIN_RATIO:
+        reason = f"scale, offset and unit of the DBC file say {values}"
+        yield Finding(f"{place}.kpa_per_count", f"{given:g}", reason, hint=True)
 
 
 def _slip(value: float, unit: str, units: Mapping[str, float], low: float, high: float) -> str:

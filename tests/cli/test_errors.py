@@ -5,6 +5,8 @@ import subprocess
 
 import pytest
 
+from tactiled.cli.demo import demo_config
+from tactiled.config import load
 from tactiled.config.example import EXAMPLE
 from tests.cli.commands import TACTILED, refusal, succeed
 
@@ -70,6 +72,8 @@ def test_init_writes_a_valid_configuration_and_never_overwrites(tmp_path):
     output = succeed("check", path)
     for line in ("gain at the taxel Nyquist", "smallest resolvable gap", "is valid: 1 sensor, 1 bus"):
         assert line in output
+    succeed("init", demo := tmp_path / "d.toml", "--skin", "demo")
+    assert load(demo).sensor == demo_config().sensor
     assert "b.toml is there already" in refusal("init", path)
     assert "--positions p.ini: needs --from-icub" in refusal("init", tmp_path / "c.toml", "--positions", "p.ini")
     assert "--skin icub: no such skin: choose one of agibot-omnihand, " in refusal("init", path, "--skin", "icub")

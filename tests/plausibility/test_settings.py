@@ -134,7 +134,11 @@ def test_scale_and_unit_of_a_dbc_file_are_offered():
         "sensor.a.calibration: counts without kpa_per_count; "
         "kpa_per_count = 0.05 and no_load = 80 by scale, offset and unit of the DBC file"
     )
-    assert not hints(0, "kpa_per_count = 0.05")
+    assert not hints(0, "kpa_per_count = 0.07")  # as measured
+    assert hints(0, "kpa_per_count = 0.5") == [
+        "sensor.a.calibration.kpa_per_count = 0.5: "
+        "scale, offset and unit of the DBC file say kpa_per_count = 0.05 and no_load = 80"
+    ]
     assert not hints(1)  # no unit
     (hint,) = hints_of(["Floats.F0", "Floats.F1"])
     assert "kpa_per_count = 1 and no_load = 0 by" in hint
