@@ -12,7 +12,6 @@ from pydantic import (
     GetJsonSchemaHandler,
     PlainSerializer,
     SecretStr,
-    ValidationInfo,
 )
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
@@ -79,11 +78,6 @@ class Syntax:
         return text
 
 
-def _beside(file: Path, info: ValidationInfo) -> Path:
-    folder: Path = (info.context or {}).get("folder", Path())
-    return folder / file
-
-
 def _check_key(key: SecretStr) -> SecretStr:
     """Refuse a key that a person made up: it could be guessed from one signature."""
     if not re.fullmatch(r"[0-9a-f]{64}", key.get_secret_value()):
@@ -93,7 +87,9 @@ def _check_key(key: SecretStr) -> SecretStr:
 
 Key = Annotated[SecretStr, AfterValidator(_check_key)]  # of signatures
 FileBeside = Annotated[  # relative to the folder of the configuration; printed without its folder
-    Path, AfterValidator(_beside), PlainSerializer(lambda path: path.name, when_used="json", return_type=str)
+    Path,
+    AfterValidator(lambda file, info: (info.context or {}).get("folder", Path()) / file),
+    PlainSerializer(lambda path: path.name, when_used="json", return_type=str),
 ]
 Port = Annotated[int, Bounds(0, 65535)]
 Counts = Annotated[float, Bounds(-1e9, 1e9, "counts")]  # 30 bits, past any sensor; float32 holds them

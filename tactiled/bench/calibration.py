@@ -198,12 +198,6 @@ WAYS: dict[str, tuple[int, float, Callable[[Calibrated, np.random.Generator], Co
 }
 
 
-def _trial(way: str, seed: int, truth: Truth, fit: CoverFit, seconds: float) -> Trial:
-    low, high = (each / truth.factor for each in fit.interval)
-    error = np.nan if fit.reason else fit.factor / truth.factor - 1
-    return Trial(way, seed, truth.true.depth / PITCH_MM, error, low, high, seconds)
-
-
 class Restored(NamedTuple):
     """Errors (NRMSE) of one scene's restored image."""
 
@@ -268,7 +262,10 @@ def measure(count: int, seed: int, only: str | None = None) -> Results:
             errors.append(skin.gain_errors)
             began = perf_counter()
             fitted = fit(skin, random)
-            rows.append(_trial(way, n, skin.truth, fitted, perf_counter() - began))
+            seconds, factor = perf_counter() - began, skin.truth.factor
+            low, high = (each / factor for each in fitted.interval)
+            error = np.nan if fitted.reason else fitted.factor / factor - 1
+            rows.append(Trial(way, n, skin.truth.true.depth / PITCH_MM, error, low, high, seconds))
             if way == "tip" and n < RESTORED_SKINS and not only:
                 images += restored(skin, fitted, random)
     return Results(np.concatenate(errors), tuple(rows), tuple(images), *(() if only else _large(seed)))

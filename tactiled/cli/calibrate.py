@@ -54,13 +54,17 @@ def gain(
     if len(loads) != 1:
         raise ConfigError("give one of --steps-kpa, --reference and --weight-n")
     settings, name, one = options.one_sensor(config, sensor)
-    before = existing(out, name, one)
+    if before := calibration_file.load(out):
+        matching(out, before, name, one)
     from tactiled.calibrate.counts.gain import unlike_gain
 
     with threadpool_limits(1):
         series = read_frame_series(file, name, settings)
         fit = _fit(series, one, before, steps_kpa, reference, weight_n)
-    fit = replace(fit, notes=(*unlike_gain(fit.curves, _gain_before(before, one)), *fit.notes))
+    gain_before = one.calibration.kpa_per_count  # None: uncalibrated
+    if before and before.gain:
+        gain_before = float(np.median(before.gain.curves.gain))
+    fit = replace(fit, notes=(*unlike_gain(fit.curves, gain_before), *fit.notes))
     (load,) = (f"{key.replace('_', ' ')} {getattr(value, 'name', value)}" for key, value in loads.items())
     new = gain_sections(fit, noise(series.counts), made_from(file, f"gain: {load}"[:200]))
     if plot is not None:
@@ -97,12 +101,6 @@ def show(file: Annotated[Path, typer.Argument(help="Calibration file.")]) -> Non
         typer.echo(f"  health    dead: {_listed(content.health.dead)}")
 
 
-def existing(out: Path, name: str, sensor: schema.Sensor) -> CalibrationFile | None:
-    """The calibration file that is to be brought up to date."""
-    before = calibration_file.load(out)
-    return before and matching(out, before, name, sensor)
-
-
 def matching(path: Path, file: CalibrationFile, name: str, sensor: schema.Sensor) -> CalibrationFile:
     """The file at `path`; ConfigError where it is of another array, or its cover of other layers."""
     try:
@@ -126,13 +124,6 @@ def update(
     calibration_file.save(out, calibration_file.with_sections(before, name, codec, taxels, **sections))
 
 
-def _gain_before(file: CalibrationFile | None, sensor: schema.Sensor) -> float | None:
-    """Median kPa per count of a calibration file, else as configured; None: uncalibrated."""
-    if file is not None and file.gain is not None:
-        return float(np.median(file.gain.curves.gain))
-    return sensor.calibration.kpa_per_count
-
-
 def _fit(
     series: "FrameSeries",
     sensor: schema.Sensor,
@@ -145,7 +136,9 @@ def _fit(
     from tactiled.calibrate.counts import force_gain
     from tactiled.calibrate.counts import gain as uniform
 
-    array, rails = make_array(sensor), _rails(sensor)
+    array, configured = make_array(sensor), sensor.calibration
+    sign = float(np.sign(configured.kpa_per_count or sensor.codec.settings.kpa_per_count or 0))
+    rails = Rails.of(configured.saturation, make_codec(sensor).ends, sign)
     series = series.without(sensor.calibration.dead)
     if steps_kpa is not None:
         return uniform.fit_steps(series, options.numbers("steps-kpa", steps_kpa), rails, array)
@@ -166,13 +159,6 @@ def _reach(sensor: schema.Sensor, file: CalibrationFile | None, array: Array) ->
     if sensor.kernel.model == "measured" and (cover is None or cover.kernel is None):
         return None
     return reach_of(surface.make(make_kernel(sensor.kernel, make_stack(sensor), cover), array, 1), array)
-
-
-def _rails(sensor: schema.Sensor) -> Rails:
-    """Counts at which the taxels saturate: as configured, else the codec's ends."""
-    configured, skin = sensor.calibration, sensor.codec.settings
-    sign = float(np.sign(configured.kpa_per_count or skin.kpa_per_count or 0))
-    return Rails.of(configured.saturation, make_codec(sensor).ends, sign)
 
 
 def _lines(fit: "GainFit") -> list[str]:

@@ -78,8 +78,9 @@ def cover(
 
     kernel = solve(stack, model, accuracy, rise, late)
     seconds, summary = perf_counter() - start, summarise(kernel, array, noise)
-    if q is None:
-        q = _round_frequencies(summary)
+    if q is None:  # over which the gain falls
+        ends = np.searchsorted(ROUND_FREQUENCIES, (summary.half_gain / 8, 2 * summary.tenth_gain))
+        q = ROUND_FREQUENCIES[slice(*ends)]
     if footprint is not None:
         press = pressed(stack, footprint, accuracy, rise, late)
     if as_json:
@@ -114,12 +115,6 @@ def _configured(config: Path, name: str | None) -> tuple[Stack, Array]:
     if file and path and (cover := matching(path, file, name, sensor).cover):
         stack = stack.thickened(cover.factor)
     return stack, make_array(sensor)
-
-
-def _round_frequencies(summary: CoverSummary) -> Floats:
-    """Round frequencies (1/mm) over which the gain falls."""
-    low, high = np.searchsorted(ROUND_FREQUENCIES, (summary.half_gain / 8, 2 * summary.tenth_gain))
-    return np.asarray(ROUND_FREQUENCIES[low:high])
 
 
 def _frequencies(text: str) -> Floats:

@@ -99,7 +99,7 @@ class Spec:
 def configuration(spec: Path, positions: Path | None = None) -> str:
     """A configuration of every enabled triangle, as TOML; ConfigError names file, key and bad value."""
     found = _read_spec(spec)
-    enabled = {each: _enabled(found.triangles[each]) for each in found.triangles}
+    enabled = {each: [n for n, one in enumerate(all_) if one.enabled] for each, all_ in found.triangles.items()}
     placed = None if positions is None else _read_positions(positions, list(found.triangles))
     if placed is not None:
         enabled = {each: [n for n in numbers if n in placed.get(each, ())] for each, numbers in enabled.items()}
@@ -121,16 +121,15 @@ def configuration(spec: Path, positions: Path | None = None) -> str:
     for address, numbers in groups:
         name = part if len(groups) == 1 else f"{part}_{address.board}_{numbers[0]}"
         codec = _codec(found, address, numbers)
-        pads = None if placed is None else _pads(codec, placed[address])
-        lines, aperture = "" if pads is None else _positions(pads), _aperture(pads)
+        lines, pads = "", None
+        if placed is not None:  # mm, in the order of a frame
+            pads = np.concatenate([placed[address][each] for each in numbers])[codec.is_taxel.ravel()]
+            lines = _positions(pads)
         number = ports.index(address.port)
-        text += SENSOR.format(name=name, number=number, codec=_settings(codec), aperture=aperture, positions=lines)
+        form = {"codec": _settings(codec), "aperture": _aperture(pads), "positions": lines}
+        text += SENSOR.format(name=name, number=number, **form)
     parse(text, str(spec))  # what is written can be read
     return text
-
-
-def _enabled(triangles: Sequence[Triangle]) -> list[int]:
-    return [number for number, each in enumerate(triangles) if each.enabled]
 
 
 def _codec(spec: Spec, address: Address, numbers: Sequence[int]) -> Icub:
@@ -147,11 +146,6 @@ def _settings(codec: Icub) -> str:
     keys = ("board", "triangles", "skin_type", "start", "period_ms", "shift", "cdc_offset", "no_load")
     values = {"name": "icub"} | {each: getattr(codec, each) for each in keys}
     return "\n".join(f"{key} = {json.dumps(value)}" for key, value in values.items())
-
-
-def _pads(codec: Icub, placed: Positions) -> NDArray[np.float64]:
-    """The places (N, 2) of a codec's taxels, mm, as they come in a frame."""
-    return np.concatenate([placed[each] for each in codec.triangles])[codec.is_taxel.ravel()]
 
 
 def _positions(pads: NDArray[np.float64]) -> str:

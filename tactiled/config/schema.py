@@ -15,7 +15,6 @@ from pydantic import (
     InstanceOf,
     PlainSerializer,
     SecretStr,
-    SerializationInfo,
     ValidationInfo,
     ValidatorFunctionWrapHandler,
     WithJsonSchema,
@@ -57,12 +56,8 @@ class Section(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True, use_attribute_docstrings=True)
 
 
-def _serialize(value: Any, info: SerializationInfo) -> Any:
-    """As it may be printed, in JSON; as it is, Secrets included, in Python."""
-    return show(value) if info.mode == "json" else value
-
-
-Redacted = PlainSerializer(_serialize)
+# As it may be printed, in JSON; as it is, Secrets included, in Python.
+Redacted = PlainSerializer(lambda value, info: show(value) if info.mode == "json" else value)
 
 
 class Server(Section):

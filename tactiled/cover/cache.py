@@ -27,7 +27,8 @@ def cached_table(
     """
     key = sha256(b"\0".join(_bytes(each) for each in inputs)).digest()
     try:
-        path = (folder or _user_folder()) / f"{key.hex()}.{suffix}"
+        cache = folder or Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "tactiled"
+        path = cache / f"{key.hex()}.{suffix}"
     except RuntimeError:
         report(f"no {suffix} is kept: there is no home directory: set HOME or XDG_CACHE_HOME")
         return make()
@@ -45,10 +46,6 @@ def cached_table(
     except OSError as error:
         report(f"{path}: {error.strerror or error}: it is not kept")
     return table
-
-
-def _user_folder() -> Path:
-    return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "tactiled"
 
 
 def _bytes(value: object) -> bytes:

@@ -66,12 +66,8 @@ def hankel(r: Floats, value: Floats, q: Floats) -> Floats:
 
     Far out an element spans many waves; there it is cut into pieces of a wave each, octave by octave of q.
     """
-    return np.concatenate([_octave(r, value, part) for part in np.split(q, _octaves(q))])
-
-
-def _octaves(q: Floats) -> Ints:
-    """Give where another octave of the growing q (n,) begins."""
-    return np.flatnonzero(np.diff(np.floor(np.log2(np.maximum(q, q[1]) / q[1])))) + 1
+    octaves = np.flatnonzero(np.diff(np.floor(np.log2(np.maximum(q, q[1]) / q[1])))) + 1
+    return np.concatenate([_octave(r, value, part) for part in np.split(q, octaves)])
 
 
 def _octave(r: Floats, value: Floats, q: Floats) -> Floats:

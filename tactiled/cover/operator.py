@@ -133,7 +133,7 @@ def fourier_sums(
         u, v = np.meshgrid(frequency, frequency, sparse=True)
         q = np.hypot(u, v)
         window = np.exp(-((q / high) ** 2)) - (np.exp(-((q / low) ** 2)) if low else 0.0)
-        footprints = _footprints(array, side, u, v)
+        footprints = side**2 * np.sinc(u * side) * np.sinc(v * side) * aperture_mean(array, u, v)
         weight = np.where(frequency > 0, 2.0, 1.0) / (2 * reach)
         columns, rows = x <= reach, y <= reach
         found = gains(u, v)
@@ -145,11 +145,6 @@ def fourier_sums(
             result = results.setdefault(way, np.zeros((len(y), len(x))))
             result[np.ix_(rows, columns)] += down[way[1]] @ spectrum @ along[way[0]]
     return results
-
-
-def _footprints(array: Array, side: float, u: Floats, v: Floats) -> Floats:
-    """Give the transform of a unit cell (mm^2) times that of the aperture's mean at u, v (1/mm)."""
-    return side**2 * np.sinc(u * side) * np.sinc(v * side) * aperture_mean(array, u, v)
 
 
 def aperture_mean(array: Array, u: Floats, v: Floats | float = 0.0) -> Floats:

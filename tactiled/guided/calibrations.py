@@ -8,7 +8,6 @@ from tactiled.errors import CalibrationStateError, NoCalibrationError, NotLiveEr
 from tactiled.guided.cover_procedure import CoverProcedure
 from tactiled.guided.gain_procedure import GainProcedure
 from tactiled.guided.session import CalibrationSession, Outcome, Procedure, Way
-from tactiled.live.sensor import Sensor
 
 if TYPE_CHECKING:
     from tactiled.live.service import Service
@@ -31,15 +30,14 @@ class GuidedCalibrations:
         with self._lock:
             if self._open(name):
                 raise CalibrationStateError(f"sensor {name!r}: a calibration is open: apply or discard it first")
-            session = Session(sensor, self._procedure(sensor, way, size_mm))
-            self._sessions[name] = session
+            procedure: Procedure
+            if way == "uniform" or way == "weight":
+                procedure = GainProcedure(sensor, way)
+            else:
+                procedure = CoverProcedure(sensor, make_stack(self._service.config.sensor[name]), way, size_mm)
+            self._sessions[name] = session = Session(sensor, procedure)
         self._service.events.add("calibration_started", way, name)
         return session
-
-    def _procedure(self, sensor: Sensor, way: Way, size_mm: float | None) -> Procedure:
-        if way == "uniform" or way == "weight":
-            return GainProcedure(sensor, way)
-        return CoverProcedure(sensor, make_stack(self._service.config.sensor[sensor.name]), way, size_mm)
 
     def _open(self, name: str) -> Session | None:
         """The session of a sensor that has not ended; one whose client has gone away ends here."""

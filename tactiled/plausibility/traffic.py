@@ -2,7 +2,7 @@
 
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -112,7 +112,9 @@ def _other_settings(place: str, sensor: schema.Sensor, result: Survey, codec: Co
     for sender in result.senders:
         if sender.name == sensor.codec.name:
             settings = sender.match.settings.items()
-            others = {key: each for key, each in settings if _differ(getattr(configured, key, each), each)}
+            own = {key: getattr(configured, key, each) for key, each in settings}
+            own = {key: list(each) if isinstance(each, tuple) else each for key, each in own.items()}
+            others = {key: each for key, each in settings if own[key] != each}
             sends = f"no complete frame: {sender.match.description} sends"
             if others:
                 change = ", ".join(f"{key} = {str(each).lower()}" for key, each in others.items())
@@ -129,10 +131,6 @@ def _silent(place: str, sensor: schema.Sensor, codec: Codec) -> Finding:
     ids = ", ".join(f"{id_:#x}" for id_, _ in sorted(codec.ids)[:MAX_LISTED])
     started = "; codec.start = true has the service start it" if hasattr(sensor.codec.settings, "start") else ""
     return Finding(f"{place}.codec", sensor.codec.name, f"no complete frame on ids {ids}{started}")
-
-
-def _differ(configured: Any, sender: Any) -> bool:
-    return bool((list(configured) if isinstance(configured, tuple) else configured) != sender)
 
 
 def _frames(

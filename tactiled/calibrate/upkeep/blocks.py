@@ -67,19 +67,15 @@ class Blocks:
         if self._frames < BLOCK_FRAMES:
             return None
         self._frames = 0
-        self._look_for_step()
+        change = np.abs(np.diff(self._counts, axis=0))
+        np.copyto(change, np.inf, where=change == 0)
+        self._step = min(self._step, float(change.min()))  # the counts', as far as it shows
         step = self._step if np.isfinite(self._step) else 1.0
         return Block(self._times_s, self._counts, self._flags & (MISSING | BAD) == 0, step)
 
     def restart(self) -> None:
         """Drop the block under way."""
         self._frames, self._began_s = 0, -np.inf
-
-    def _look_for_step(self) -> None:
-        """Note the smallest difference of two successive readings so far: the counts' step."""
-        change = np.abs(np.diff(self._counts, axis=0))
-        np.copyto(change, np.inf, where=change == 0)
-        self._step = min(self._step, float(change.min()))
 
 
 class TaxelNoise:

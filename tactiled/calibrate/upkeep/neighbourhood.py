@@ -89,7 +89,9 @@ class Neighbourhood:
     def _alike(self, taxels: Ints) -> Iterator[tuple[Ints, Ints, _Surroundings]]:
         """Numbers (k,) in `taxels` of those that are joined alike, their neighbours (k, n), and the joint."""
         for taxel in taxels[self._kind[taxels] < 0].tolist():
-            self._look_around(taxel)
+            near = self._tree.query_ball_point(self._array.positions[taxel], REACH_PITCHES * self._array.pitch)
+            self._near[taxel] = np.array(sorted({*near} - {taxel}), int)
+            self._kind[taxel] = self._kinds.setdefault(self._places(taxel).tobytes(), len(self._kinds))
         kinds = self._kind[taxels]
         for kind in np.unique(kinds).tolist():
             of = np.flatnonzero(kinds == kind)
@@ -99,11 +101,6 @@ class Neighbourhood:
                 self._start(partial(self._search, kind, int(taxels[of[0]])))
             if (joint := self._joints.get(kind)) is not None:
                 yield of, np.array(near), joint
-
-    def _look_around(self, taxel: int) -> None:
-        near = self._tree.query_ball_point(self._array.positions[taxel], REACH_PITCHES * self._array.pitch)
-        self._near[taxel] = np.array(sorted({*near} - {taxel}), int)
-        self._kind[taxel] = self._kinds.setdefault(self._places(taxel).tobytes(), len(self._kinds))
 
     def _places(self, taxel: int) -> Reals:
         """Places (n, 2) of its neighbours, in pitches from it."""

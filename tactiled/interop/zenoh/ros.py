@@ -91,8 +91,7 @@ class Node:
         self, session: "zenoh.Session", domain: int, sensor: Sensor, handle: Handle, requests: ThreadPoolExecutor
     ) -> None:
         self._session, self._domain, self._sensor = session, domain, sensor
-        self._handle, self._requests = handle, requests
-        self._closing, self._id = threading.Event(), next(IDS)
+        self._handle, self._closing, self._id = handle, threading.Event(), next(IDS)
         self._writers: dict[str, _Writer] = {}
         name = ros_name(sensor.name)
         self._name = f"%/%/{name}"  # enclave, namespace and name
@@ -100,7 +99,9 @@ class Node:
         self._declared: list[Any] = [
             self._session.liveliness().declare_token(self._token(self._id, "NN")),
             self._session.liveliness().declare_token(self._token(next(IDS), "SS", self._service)),
-            self._session.declare_queryable(self._service.key(domain), self._submit, complete=True),
+            self._session.declare_queryable(
+                self._service.key(domain), lambda query: requests.submit(self._answer, query), complete=True
+            ),
         ]
         self._take_plan()
 
@@ -163,9 +164,6 @@ class Node:
     def _put(self, messages: Iterator[ros.Message]) -> None:
         for topic, cdr in messages:
             self._writers[topic].put(cdr)
-
-    def _submit(self, query: "zenoh.Query") -> None:
-        self._requests.submit(self._answer, query)
 
     def _answer(self, query: "zenoh.Query") -> None:
         """Tare, and reply with the number and GID of the request."""

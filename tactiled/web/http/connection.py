@@ -71,7 +71,10 @@ class Connection(asyncio.Protocol):
         peer = transport.get_extra_info("peername")
         self._place = Place(network(peer[0]) if peer else "", lambda: self._bound.evictable, self._expire)
         if not self._places.take(self._place):
-            self._turn_away()
+            self.half_closed = True
+            if self._tls is None:  # a handshake only to say this would cost a place
+                transport.write(refusal(503, FULL))
+            transport.close()
         elif self._tls is None:
             self._open(transport)
         else:
@@ -171,13 +174,6 @@ class Connection(asyncio.Protocol):
                 self._cancel()
         if made is not None and not made.is_closing():
             self._open(made)
-
-    def _turn_away(self) -> None:
-        """Say that no place is left; nothing is said in TLS, whose handshake would cost one."""
-        self.half_closed = True
-        if self._tls is None:
-            self.transport.write(refusal(503, FULL))
-        self.transport.close()
 
     def _find_state(self) -> Phase:
         inner = self._inner
