@@ -41,12 +41,7 @@ def single(
 
 
 def run_batch(
-    job: Job,
-    paths: Sequence[str],
-    endings: Collection[str],
-    out: str,
-    workers: int | None,
-    scheduler: str | None,
+    job: Job, paths: Sequence[str], endings: Collection[str], out: str, workers: int | None, scheduler: str | None
 ) -> None:
     """Do a job for every input; a line or a bar on stderr tells how far it is. Ends with 2 if any failed."""
     if workers and scheduler:

@@ -33,10 +33,7 @@ Foxglove = Annotated[
 LogFormat = Annotated[
     logs.Style,
     typer.Option(
-        "--log-format",
-        callback=logs.configure,
-        envvar="TACTILED_LOG_FORMAT",
-        help="Log for people or as JSON.",
+        "--log-format", callback=logs.configure, envvar="TACTILED_LOG_FORMAT", help="Log for people or as JSON."
     ),
 ]
 

@@ -36,8 +36,7 @@ def restore(
         ),
     ],
     out: Annotated[
-        str,
-        typer.Option("--out", "-o", help=f"Where the restored frames go (.npy, float32); {batch.OUT}."),
+        str, typer.Option("--out", "-o", help=f"Where the restored frames go (.npy, float32); {batch.OUT}.")
     ],
     config: Annotated[
         Path | None,

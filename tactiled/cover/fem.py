@@ -89,11 +89,7 @@ def solve(
 
 
 def pressed(
-    stack: Stack,
-    radius: float,
-    accuracy: float = 1e-3,
-    profile: Profile | None = None,
-    late: Late = lambda: False,
+    stack: Stack, radius: float, accuracy: float = 1e-3, profile: Profile | None = None, late: Late = lambda: False
 ) -> Press:
     """Give the stress under even pressure on a disc of `radius` (mm), to `accuracy` of that pressure.
 

@@ -91,11 +91,7 @@ def _lines(n: int) -> Floats:
 
 
 def cached(
-    make: Callable[..., Floats],
-    kernel: Kernel,
-    array: Array,
-    more: int | Raster,
-    folder: Path | None = None,
+    make: Callable[..., Floats], kernel: Kernel, array: Array, more: int | Raster, folder: Path | None = None
 ) -> Floats:
     """Give make(kernel, array, more), from `folder` (by default the user's cache) where it is already there."""
     cover = make.__name__, kernel.q, kernel.gain

@@ -87,12 +87,7 @@ def on_taxels(sensor: SensorView, image: SensorImage) -> SensorImage:
 
 def _message(image: SensorImage, status: Status) -> dict[str, Any]:
     """The fields that every message on an image has."""
-    return {
-        "sensor": image.sensor,
-        "state": status.state,
-        "sequence": image.sequence,
-        "timestamp": image.time,
-    }
+    return {"sensor": image.sensor, "state": status.state, "sequence": image.sequence, "timestamp": image.time}
 
 
 def _restoration(image: SensorImage) -> dict[str, Any]:

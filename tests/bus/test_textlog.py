@@ -119,8 +119,7 @@ def test_a_log_is_read_as_it_was_meant_and_what_is_no_message_is_counted(tmp_pat
 
 
 @pytest.mark.parametrize(
-    ("switched", "flags", "fd"),
-    [(0, "303000", True), (0, "300000", False), (1, "300000", True)],
+    ("switched", "flags", "fd"), [(0, "303000", True), (0, "300000", False), (1, "300000", True)]
 )
 def test_a_classic_frame_on_a_can_fd_channel_of_asc_stays_classic(tmp_path, switched, flags, fd):
     _, (message,) = after(tmp_path / "a.asc", HEAD + FD_LINE.format("0.1", switched, flags))

@@ -129,11 +129,7 @@ class Profiles:
 
 
 def fit_blind(
-    frames: Reals,
-    noise_kpa: float,
-    family: CoverFamily,
-    array: Array,
-    gain_error: float = GAIN_ERROR,
+    frames: Reals, noise_kpa: float, family: CoverFamily, array: Array, gain_error: float = GAIN_ERROR
 ) -> CoverFit:
     """The cover's thickness from successive frames (T, *shape) in kPa, NaN where unknown, of at least 3 scenes.
 

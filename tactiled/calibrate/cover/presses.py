@@ -41,11 +41,7 @@ class Press:
 
 
 def find_presses(
-    pressure: Reals,
-    array: Array,
-    noise_kpa: Floats | float,
-    saturated: Mask | None = None,
-    border: bool = False,
+    pressure: Reals, array: Array, noise_kpa: Floats | float, saturated: Mask | None = None, border: bool = False
 ) -> list[Press]:
     """Every press in frames (T, N) of kPa, NaN: unknown; the unusable ones say why.
 

@@ -79,8 +79,7 @@ def format_of(formats: Any) -> Any:
     """The dependency that gives one of `formats`: the parameter `format`, else by the Accept header."""
 
     async def form(
-        request: Request,
-        requested: Annotated[formats | None, Query(alias="format", description=FORMAT)] = None,
+        request: Request, requested: Annotated[formats | None, Query(alias="format", description=FORMAT)] = None
     ) -> str:
         return requested or _accepted(request, get_args(formats))
 

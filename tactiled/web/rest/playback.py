@@ -67,8 +67,7 @@ class Played(schemas.Schema):
     force_unit: ForceUnit = Field(examples=["N"])
     positions_s: list[float] = Field([], description="of `force`")
     force: list[float | None] = Field(
-        [],
-        description="total of the raw image, lowest and highest of each piece; null: too few taxels are known",
+        [], description="total of the raw image, lowest and highest of each piece; null: too few taxels are known"
     )
 
 

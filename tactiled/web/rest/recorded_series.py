@@ -12,14 +12,7 @@ from tactiled.contacts.regions import TOTAL, Measures, Region
 from tactiled.live.sensor import Sensor
 from tactiled.recorded.frames import RecordedFrames
 from tactiled.recorded.playback import Playback
-from tactiled.recorded.series import (
-    ROWS_AT_ONCE,
-    RecordedSeries,
-    SeriesJob,
-    SeriesRows,
-    SeriesRuns,
-    Summary,
-)
+from tactiled.recorded.series import ROWS_AT_ONCE, RecordedSeries, SeriesJob, SeriesRows, SeriesRuns, Summary
 from tactiled.restore.methods import named
 from tactiled.units import FORCE_UNITS, ForceUnit
 from tactiled.web import schemas

@@ -79,9 +79,7 @@ def get_method(sensor: NamedSensor, service: CurrentService) -> schemas.Method:
     after_restart = service.state.methods.get(sensor.name, "") if service.state else ""
     kept = OLD_NAMES.get(after_restart, after_restart)
     return schemas.Method(
-        method=sensor.method,
-        configured=sensor.plan.method,
-        kept=kept if kept in METHODS else None,
+        method=sensor.method, configured=sensor.plan.method, kept=kept if kept in METHODS else None
     )
 
 

@@ -131,11 +131,7 @@ def _messages() -> Json:
     )
     pushed = _binary("pushedBytes", "One frame, little-endian", push.LAYOUT)
     return {"image": image, "pushedBytes": pushed} | {
-        name: {
-            "title": name,
-            "summary": about,
-            "payload": {"$ref": f"#/components/schemas/{model.__name__}"},
-        }
+        name: {"title": name, "summary": about, "payload": {"$ref": f"#/components/schemas/{model.__name__}"}}
         for name, (model, about) in models.items()
     }
 

@@ -38,10 +38,7 @@ def _unique(values: tuple[str, ...]) -> tuple[str, ...]:
 Once = AfterValidator(_unique)
 Names = Annotated[tuple[str, ...], BeforeValidator(_split), Once, WithJsonSchema({"type": "string"})]
 Kinds = Annotated[
-    tuple[Kind, ...],
-    BeforeValidator(_split),
-    Once,
-    WithJsonSchema({"type": "string", "enum": COMBINATIONS}),
+    tuple[Kind, ...], BeforeValidator(_split), Once, WithJsonSchema({"type": "string", "enum": COMBINATIONS})
 ]
 
 

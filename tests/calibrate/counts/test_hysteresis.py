@@ -48,8 +48,7 @@ def test_counts_that_fall_under_pressure_have_the_same_loop_and_unknown_ones_kee
 
 
 @pytest.mark.parametrize(
-    ("loop", "message"),
-    [((0.1, 0.1, 0.2), "half-widths 0.1 and 0.1"), ((0, 0.1, 1), "weight is 1")],
+    ("loop", "message"), [((0.1, 0.1, 0.2), "half-widths 0.1 and 0.1"), ((0, 0.1, 1), "weight is 1")]
 )
 def test_a_loop_that_is_none_is_refused(loop, message):
     with pytest.raises(ConfigError, match=message):

@@ -281,10 +281,7 @@ def test_a_series_has_what_an_export_has_for_every_frame_its_highest_values_and_
     job = ExportJob.of(config, parse(CONFIG), "palm", regions=REGIONS)
     job.make(folder / "a.log", target)
     with np.load(target) as arrays:
-        expected, restored = (
-            arrays["regions"],
-            arrays["restored"].reshape(FRAMES, -1),
-        )
+        expected, restored = (arrays["regions"], arrays["restored"].reshape(FRAMES, -1))
     series = measured(client, regions="heel,toe")
     assert [series[key] for key in ("frames", "measured", "error", "unit")] == [FRAMES, FRAMES, None, "kPa"]
     for n, area in enumerate(series["regions"]):
