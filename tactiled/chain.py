@@ -99,7 +99,8 @@ class Chain:
         """Restore pressures; what is far below zero counts as none. The image has no NaN, until the next frame.
 
         Of a `frame` with shear whose scale is known, the tangential load is restored under that image, and then
-        the pressures less what it adds to them, but for the raw image and on skins that are not wide enough.
+        the pressures less what it adds to them, where that matters; not on skins that are not wide enough, nor by
+        the raw image.
         """
         restorer, flagged = self.restorer(method), bool(np.count_nonzero(flags))
         if flagged and (flags & BELOW_ZERO).any():
@@ -108,13 +109,14 @@ class Chain:
         sheared = None if frame is None else self._sheared(frame, raw, flags)
         if self._traction and sheared is not None:
             noise = self.noise * np.array([1, self._shear_noise, self._shear_noise])
-            self._load = load = self._traction(restorer.surface, sheared, noise)
-            if load.pressure.any() and self._traction.coupled.wide and method != "raw":
-                done = restorer(_less(raw, load.pressure), flags, expired)
-                again = self._traction(restorer.surface, sheared, noise)
-                self._load = again._replace(pressure=load.pressure)  # that the image is without
-            else:
-                self._load = load._replace(pressure=np.zeros_like(load.pressure))
+            load = self._traction(restorer.surface, sheared, noise)
+            added = np.zeros_like(load.pressure)
+            if load.matters and self._traction.coupled.wide and method != "raw":
+                added = load.pressure
+                done = restorer(_less(raw, added), flags, expired)
+                load = self._traction(restorer.surface, sheared, noise)
+            load.pressure = added  # that the image is without
+            self._load = load
         return done
 
     def _sheared(self, frame: RawFrame, raw: Floats32, flags: Flags) -> Floats | None:

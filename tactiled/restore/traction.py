@@ -8,13 +8,14 @@ none on, the readings tell, too: the mean at each size is weighted by how likely
 the model look like a little friction where there is none.
 """
 
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_triangular
+from scipy.linalg import lapack
 
-from tactiled.arrays import Floats
+from tactiled.arrays import Floats, Floats32, Ints
 
 FRICTION = 0.35  # tangential load along an axis over pressure, standard deviation, at most
 SIZES = (0.0, 0.1, 0.3, 1.0)  # of friction: parts of its variance that are tried
@@ -23,6 +24,8 @@ SHARES, ALIKE_PITCHES = (0.5, 0.35, 0.15), (np.inf, 4.0, 1.0)  # of its variance
 WRONG, FAINT, WRONG_PITCHES = 0.45, 0.05, 0.7  # of the image, of its peak; pitches that this goes on for
 MODEL_ERROR = 0.05  # of the largest reading: the cover's model
 PRESSED = 0.02  # of the image's peak: fainter pressure drags nothing
+HEARD = 0.02  # of the most that loads as large as the pressure leave on a reading: with less it tells nothing
+ADDED_SIGMAS = 0.25  # of a reading's noise: what a load adds to the pressure, and is less, changes no image
 
 
 class Coupled(NamedTuple):
@@ -35,78 +38,130 @@ class Coupled(NamedTuple):
     wide: bool = True  # enough for what a load adds to the pressure to be told from what pressure does
 
 
-class Load(NamedTuple):
-    """A tangential load on the array's cells, along x and y (2, R, C)."""
-
-    traction: NDArray[np.float32]  # kPa
-    deviation: NDArray[np.float32]  # kPa, its standard deviation
-    pressure: Floats  # (N,) kPa that it adds to what the taxels read
-
-
 class Traction:
     """Restores tangential loads of one array."""
 
     def __init__(self, coupled: Coupled) -> None:
-        self.coupled = coupled
+        self.coupled, self._felt = coupled, np.asarray(coupled.felt, np.float32)
         apart = ((coupled.cells[:, None] - coupled.cells) ** 2).sum(axis=-1)
         alike = zip(SHARES, ALIKE_PITCHES, strict=True)
-        self._friction = FRICTION**2 * sum(share * np.exp(-apart / (2 * pitches**2)) for share, pitches in alike)
-        self._wrong = WRONG**2 * np.exp(-apart / (2 * WRONG_PITCHES**2))
+        friction = sum(share * np.exp(-apart / (2 * pitches**2)) for share, pitches in alike)
+        self._friction = np.asarray(FRICTION**2 * friction, np.float32)
+        self._wrong = np.asarray(WRONG**2 * np.exp(-apart / (2 * WRONG_PITCHES**2)), np.float32)
 
-    def __call__(self, image: NDArray[Any], readings: Floats, noise: Floats) -> Load:
+    def __call__(self, image: NDArray[Any], readings: Floats, noise: Floats) -> "Load":
         """Restore the load under an image (R, C) of the pressure, in kPa, from readings (3, N), NaN where unknown.
 
         `noise` (3,) is the standard deviation of a reading of each kind. An image of the array alone is taken to
         have no pressure around it.
         """
-        felt, cells, shape, own, _ = self.coupled
-        size, p = len(cells), np.zeros(shape)
+        felt, (_, cells, shape, own, _) = self._felt, self.coupled
+        taxels, size, p = readings.shape[1], len(cells), np.zeros(shape, np.float32)
         p[own if image.shape != shape else ...] = image
         p = np.maximum(p.ravel(), 0)
-        traction, spread = np.zeros((2, size)), np.zeros((2, size))
-        there, known = p > PRESSED * p.max(), np.isfinite(readings).ravel()
-        if there.any() and known.any():
-            at = np.flatnonzero(there)
-            largest = np.nanmax(np.abs(readings), axis=1, initial=0.0)
-            variance = np.repeat(noise**2 + (MODEL_ERROR * largest) ** 2, readings.shape[1])[known]
-            left = readings.ravel()[known] - felt[known][:, :size] @ p
-            A = felt[known][:, np.concatenate([at, at + size, at + 2 * size])]
-            traction[:, at], spread[:, at] = self._estimate(at, p[at], A, left, variance)
-        spread = np.hypot(spread, FRICTION * noise[0])
-        added = felt[: readings.shape[1], size:] @ traction.ravel()
-        traction, spread = (each.reshape(2, *shape)[:, *own] for each in (traction, spread))
-        return Load(traction.astype(np.float32), spread.astype(np.float32), added)
+        at = np.flatnonzero(p > PRESSED * p.max())
+        A = felt[:, np.concatenate([at, at + size, at + 2 * size])]
+        strength = np.abs(A) @ np.tile(p[at], 3)
+        known = np.isfinite(readings).ravel() & (strength > HEARD * strength.max())
+        if not known.any():
+            return Load(self.coupled, noise[0], np.zeros(taxels))
+        largest = np.nanmax(np.abs(readings), axis=1, initial=0.0)
+        variance = np.repeat(noise**2 + (MODEL_ERROR * largest) ** 2, taxels)[known]
+        left = np.asarray(readings.ravel()[known] - felt[known][:, :size] @ p, np.float32)
+        estimate = _Estimate(p[at], A[known], left, variance, self._friction[at][:, at], self._wrong[at][:, at])
+        added = (A[:taxels, len(at) :] @ estimate.mean.ravel()).astype(float)
+        return Load(self.coupled, noise[0], added, at, estimate)
 
-    def _estimate(
-        self, at: NDArray[np.intp], load: Floats, A: Floats, left: Floats, variance: Floats
-    ) -> tuple[Floats, Floats]:
-        """Mean and standard deviation (2, m) of the traction of cells `at` (m,) under pressure `load` (m,).
 
-        `left` (n,) is what the pressure does not explain of the readings, `variance` (n,) of their noise, and A
-        (n, 3 m) what they feel of those cells.
-        """
-        square, spoiled = np.ix_(at, at), load + FAINT * load.max()
-        friction = self._friction[square] * np.outer(load, load)
-        wrong = self._wrong[square] * np.outer(spoiled, spoiled)
+class _Estimate:
+    """The traction of m cells under `load` (m,), the pressure on them.
+
+    `left` (n,) is what the pressure does not explain of the readings, `variance` (n,) of their noise, and
+    A (n, 3 m) what they feel of those cells. `friction` and `wrong` (m, m) are covariances, over the load.
+    """
+
+    def __init__(
+        self, load: Floats32, A: Floats32, left: Floats32, variance: Floats, friction: Floats32, wrong: Floats32
+    ) -> None:
+        self._load, self._spoiled = load, load + np.float32(FAINT) * load.max()
         of_pressure, *of_traction = np.split(A, 3, axis=1)
-        felt_wrong = wrong @ of_pressure.T  # (m, n) covariance of loads and readings, likewise
-        felt_friction = np.concatenate([friction @ each.T for each in of_traction])
-        base, more = of_pressure @ felt_wrong + np.diag(variance), np.hstack(of_traction) @ felt_friction
-        factors = [np.linalg.cholesky(base + size * more) for size in SIZES]
-        white = [solve_triangular(L, left, lower=True, check_finite=False) for L in factors]
-        fits = [-each @ each / 2 - np.log(L.diagonal()).sum() for each, L in zip(white, factors, strict=True)]
-        odds = np.exp(np.array(fits) - max(fits))
-        mean, square_mean = np.zeros((2, len(at))), np.zeros((2, len(at)))
-        for size, L, each, share in zip(SIZES, factors, white, odds / odds.sum(), strict=True):
-            if share < UNLIKELY or not size:
-                continue
-            seen = solve_triangular(
-                L, np.concatenate([felt_wrong, size * felt_friction]).T, lower=True, check_finite=False
-            )
-            found = (each @ seen).reshape(3, -1)[1:]
-            before = np.concatenate([wrong.diagonal(), *[size * friction.diagonal()] * 2])
-            left_over = np.maximum(before - (seen**2).sum(axis=0), 0).reshape(3, -1)
-            spread = left_over[1:] + left_over[0] * (found / load) ** 2  # what drags is the pressure
-            mean += share * found
-            square_mean += share * (spread + found**2)
-        return mean, np.sqrt(np.maximum(square_mean - mean**2, 0))
+        of_pressure, *of_traction = of_pressure * self._spoiled, *(each * load for each in of_traction)
+        # Covariances (n, m) of readings and cells, these over their loads.
+        self._felt_wrong, self._felt = of_pressure @ wrong, [each @ friction for each in of_traction]
+        self._before = wrong[0, 0], friction[0, 0]
+        base = self._felt_wrong @ of_pressure.T
+        more = sum(seen @ each.T for seen, each in zip(self._felt, of_traction, strict=True))
+        rounding = len(left) * np.finfo(np.float32).eps * float((base + more).diagonal().max())
+        base[np.diag_indices(len(left))] += (variance + rounding).astype(np.float32)
+        self._likely: list[
+            tuple[float, np.float32, Floats32, Floats32]
+        ] = []  # a size's odds, itself, factor, mean
+        fits = [self._fit(base + np.float32(size) * more, left) for size in SIZES]
+        odds = np.exp([each[0] - max(fit for fit, *_ in fits) for each in fits])
+        self.mean = np.zeros((2, len(load)), np.float32)  # kPa
+        for share, size, (_, factor, weight) in zip(odds / odds.sum(), SIZES, fits, strict=True):
+            if share >= UNLIKELY and size:
+                found = np.float32(size) * load * np.stack([weight @ each for each in self._felt])
+                self.mean += np.float32(share) * found
+                self._likely.append((share, np.float32(size), factor, found))
+
+    @staticmethod
+    def _fit(K: Floats32, left: Floats32) -> tuple[float, Floats32, Floats32]:
+        """Logarithm of how likely `left` (n,) of covariance K (n, n) is; Cholesky's lower factor; K^-1 left."""
+        factor, failed = lapack.spotrf(K, lower=1)
+        if failed:
+            raise np.linalg.LinAlgError("the readings' covariance is not positive definite")
+        weight, _ = lapack.spotrs(factor, left, lower=1)
+        return -float(left @ weight) / 2 - float(np.log(factor.diagonal()).sum()), factor, weight
+
+    def deviation(self) -> Floats32:
+        """Standard deviation (2, m), kPa."""
+        variance = -(self.mean**2)
+        (wrong, friction), load, spoiled = self._before, self._load, self._spoiled
+        for share, size, factor, found in self._likely:
+            felt = np.hstack([self._felt_wrong, *(size * each for each in self._felt)])
+            seen, _ = lapack.strtrs(factor, felt, lower=1)
+            told = np.einsum("ij,ij->j", seen, seen).reshape(3, -1)
+            of_pressure = np.maximum(wrong - told[0], 0) * spoiled**2
+            own = np.maximum(size * friction - told[1:], 0) * load**2
+            variance += share * (own + of_pressure * (found / load) ** 2 + found**2)  # what drags is the pressure
+        return np.sqrt(np.maximum(variance, 0))
+
+
+class Load:
+    """A tangential load on an array's cells, along x and y; its deviation is computed for who asks."""
+
+    def __init__(
+        self,
+        coupled: Coupled,
+        noise: float,
+        pressure: Floats,
+        at: Ints | None = None,
+        estimate: _Estimate | None = None,
+    ) -> None:
+        """An `estimate` of cells `at` (m,) of the surface, None: there is no load; `noise` of a pressure (kPa)."""
+        self._coupled, self._noise, self._at, self._estimate = coupled, noise, at, estimate
+        self.pressure = pressure  # (N,) kPa that it adds to what the taxels read
+
+    @property
+    def matters(self) -> bool:
+        """Whether it adds more to a reading than noise hides."""
+        return bool(np.abs(self.pressure).max() > ADDED_SIGMAS * self._noise)
+
+    @cached_property
+    def traction(self) -> Floats32:
+        """The load (2, R, C), kPa."""
+        return self._on_array(self._estimate.mean if self._estimate else None)
+
+    @cached_property
+    def deviation(self) -> Floats32:
+        """Its standard deviation (2, R, C), kPa."""
+        spread = self._on_array(self._estimate.deviation() if self._estimate else None)
+        return np.asarray(np.hypot(spread, FRICTION * self._noise), np.float32)
+
+    def _on_array(self, values: Floats32 | None) -> Floats32:
+        """Values (2, m) of the cells that were estimated, on the array's own (2, R, C); 0 of others."""
+        whole = np.zeros((2, *self._coupled.shape), np.float32)
+        if values is not None:
+            whole.reshape(2, -1)[:, self._at] = values
+        return whole[:, *self._coupled.own]

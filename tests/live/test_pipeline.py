@@ -408,6 +408,8 @@ def test_tangential_load_is_restored_once_shear_is_tared_and_pressure_without_wh
     raw.set_zero(pipeline.zero)
     felt = raw.calibrator(load.counts, load.flags)[0][plan.blur.taxel]
     np.testing.assert_array_equal(raw.process(load).restored.ravel(), felt.ravel())
+    pipeline.noise.settle(2.0)
+    assert not pipeline.process(dragged(plan, 0.05)[0]).tilt.any()  # less than noise hides
 
 
 @pytest.mark.parametrize(
