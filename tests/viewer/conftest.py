@@ -33,12 +33,13 @@ WATCH_TEXTS = """() => {
   window.drawn = [];
   const { fillText } = CanvasRenderingContext2D.prototype;
   CanvasRenderingContext2D.prototype.fillText = function (text, x, y) {
-    const { width, height, id, isConnected } = this.canvas;
+    const { width, height, id, isConnected, parentElement } = this.canvas;
+    const layer = [...parentElement?.children ?? []].indexOf(this.canvas);
     const size = this.measureText(text), { a } = this.getTransform();
     const box = [x - size.actualBoundingBoxLeft, y - size.actualBoundingBoxAscent,
       x + size.actualBoundingBoxRight, y + size.actualBoundingBoxDescent].map(each => a * each);
     window.drawn.push({
-      id, saved: !isConnected, text, x: a * x, y: a * y, box, end: a * (x + size.width), width, height,
+      id, layer, saved: !isConnected, text, x: a * x, y: a * y, box, end: a * (x + size.width), width, height,
     });
     fillText.call(this, text, x, y);
   };

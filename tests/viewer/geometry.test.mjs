@@ -152,8 +152,10 @@ test("a ring in two halves has its own cells alone, not the bead in its middle o
   assert.deepEqual([...outline.outlined], [1, 1, 0]);
 });
 
-test("names of regions stay on the map and cover no other", () => {
-  const name = (left, top, bottom) => ({ name: "heel", color: "", left, top, bottom });
-  const places = placeNames([name(10, 20, 60), name(20, 20, 60), name(180, 150, 196), name(15, 10, 62)], 200, 200, () => 40);
-  assert.deepEqual(places.map(({ x, y }) => [x, y]), [[12, 73], [22, 16], [158, 146], [17, 58]]);
+test("names of regions stay on the map, touch what is no rectangle, and cover no other", () => {
+  const name = (left, top, bottom, low, high) => ({ name: "heel", color: "", left, top, bottom, low, high });
+  const places = placeNames([
+    name(10, 20, 60), name(20, 20, 60), name(180, 150, 196), name(15, 10, 62), name(90, 100, 120, 100, 100), name(70, 80, 120, 110, 130),
+  ], 200, 200, () => 40);
+  assert.deepEqual(places.map(({ x, y }) => [x, y]), [[12, 73], [22, 16], [158, 146], [17, 58], [80, 133], [110, 76]]);
 });

@@ -7,17 +7,20 @@ from tactiled.live.region_monitor import MIN_GAP_S
 from tests.conftest import ask, pressed, until
 from tests.viewer.conftest import PHONE, TOUCH, WATCH_TEXTS
 
-# How many pixels of the chart have the first line's colour.
-INK = """(canvas => {
+# Pixels of the chart that have the first line's colour: how many, and how far right the last is.
+PIXELS = """(canvas => {
   const [r, g, b] = [0x00, 0x72, 0xb2];
   const { data } = canvas.getContext("2d").getImageData(0, 0, canvas.width, canvas.height);
-  let count = 0;
+  let count = 0, end = 0;
   for (let i = 0; i < data.length; i += 4) {
     const off = Math.abs(data[i] - r) + Math.abs(data[i + 1] - g) + Math.abs(data[i + 2] - b);
-    count += data[i + 3] > 200 && off < 20;
+    if (data[i + 3] <= 200 || off >= 20) continue;
+    count += 1;
+    end = Math.max(end, i / 4 % canvas.width);
   }
-  return count;
+  return [count, end];
 })(document.getElementById("plot-chart"))"""
+INK, END = f"{PIXELS}[0]", f"{PIXELS}[1]"
 
 
 DRAWN = "window.drawn"
@@ -89,9 +92,11 @@ def test_a_region_is_drawn_named_measured_and_deleted(rig, url, open_page):
     row = {"shape": "rectangle", "points_mm": [[left, under - 1], [left + 2, under]]}
     ask("PUT", f"{url}/api/v1/sensors/palm/regions/row", json=row)
     name = page.wait(f"{DRAWN}.find(each => each.text === 'row')?.box")
+    layers = page.evaluate(f"{DRAWN}.filter(each => each.text === 'row').map(each => each.layer)")
     page.evaluate("window.drawn = []")
     page.show(rig, pressed(3, force=2800))
     label = page.wait(f"{DRAWN}.findLast(each => each.id === 'raw-marks')?.box")
+    assert min(layers) > page.evaluate(f"{DRAWN}.at(-1).layer")  # names lie over the outlines of contacts
     assert label[2] <= name[0] or name[2] <= label[0] or label[3] <= name[1] or name[3] <= label[1]
     drag(page, box, (0.1, 0.1), (0.4, 0.4))  # draws nothing any more
     assert not page.locator("#region").is_visible()
@@ -165,5 +170,11 @@ def test_the_series_of_a_contact_is_drawn_beside_a_region_and_saved(rig, url, op
     for size in ({"width": 1280, "height": 860}, PHONE):
         page.resize(**size)
         assert page.violations() == []
+    page.resize(1280, 860)
+    page.press("l")
+    page.keep(lambda: rig.show(pressed(3, force=3000)), f"{INK} > 20")
+    page.route("**/regions/heel/series*", lambda _: None)  # while no answer comes, its line moves on with the time
+    end = page.evaluate(END)
+    page.keep(lambda: rig.show(pressed(3, force=3000)), f"{END} < {end} - 60")
     page.get_by_role("button", name="Remove contact 1").click()
     assert "contact" not in page.locator("#plot-key").inner_text()

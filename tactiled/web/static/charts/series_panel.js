@@ -13,7 +13,7 @@ import { Session } from "../wire/session.js";
 import { FORCE_SCALES, unitOf, unitOfQuantity } from "../shell/units.js";
 
 /** @import { Quantity, Series } from "../wire/api.js" */
-/** @import { Axes } from "./chart.js" */
+/** @import { Axes, Line } from "./chart.js" */
 /** @import { Ink } from "../shell/dom.js" */
 /** @import { Viewer } from "../shell/viewer.js" */
 
@@ -36,6 +36,8 @@ export class SeriesPanel {
     /** @type {Session|null} whose contacts they are */
     this._session = null;
     this._offered = this._listed = "";
+    /** @type {{axes: Axes, lines: Line[]}|null} what was read last */
+    this._drawn = null;
     this._add = /** @type {HTMLSelectElement} */ (byId("plot-add"));
     this._quantity = /** @type {HTMLSelectElement} */ (byId("plot-quantity"));
     this._span = /** @type {HTMLSelectElement} */ (byId("plot-span"));
@@ -49,6 +51,7 @@ export class SeriesPanel {
     this._quantity.addEventListener("change", () => this._draw());
     this._span.addEventListener("change", () => viewer.time.reset(Number(this._span.value)));
     viewer.onTime = () => this._draw();
+    viewer.onTrends = () => this._follow();
     byId("plot-csv").addEventListener("click", () => this._save());
     byId("contact-list").addEventListener("click", (event) => {
       const button = event.target instanceof Element ? event.target.closest("tbody tr")?.querySelector("button") : null;
@@ -71,6 +74,7 @@ export class SeriesPanel {
   _update() {
     const { session } = this._viewer;
     if (session !== this._session) {
+      this._drawn = null;
       this._session = session instanceof Session ? session : null;
       this._slots.clear();
     }
@@ -127,8 +131,7 @@ export class SeriesPanel {
     const session = this._session;
     if (!session) return;
     const { time } = this._viewer;
-    const newest = session.history.trace.times[session.history.trace.place(0)] || 0;
-    const [left, right] = time.ends(newest);
+    const [left, right] = time.ends(newestOf(session));
     const reach = Math.min(MAX_REACH_S, -left + 1); // regions may be newer than the newest frame
     const points = Math.min(MAX_POINTS, Math.ceil((CHART_POINTS * reach) / (right - left)));
     if (OFFERED_SPANS.has(String(time.span))) this._span.value = String(time.span);
@@ -140,7 +143,7 @@ export class SeriesPanel {
       return; // the page says already that the service does not answer
     }
     if (session !== this._session) return;
-    const { frame, paused, status } = session;
+    const { status } = session;
     const frames_s = MAX_GAP_FRAMES / (status?.rate_hz || Infinity);
     const lines = [...all].map(([key, series]) => {
       const slot = this._slots.get(key) ?? 0;
@@ -148,11 +151,21 @@ export class SeriesPanel {
       const maxGap = isContact ? Math.max(MAX_GAPS_S.contact, frames_s) : Math.max(MAX_GAPS_S.region, frames_s) + reach / points;
       return gappedLine(series.time, series[quantity] ?? [], maxGap, /** @type {Ink} */ (`series${slot + 1}`), DASHES[slot]);
     });
-    for (const each of lines) each.zero = newest;
-    const axes = { left, right, x: "time, s", ...yAxis(quantity, lines.map(({ y }) => y), session) };
-    this.chart.draw(axes, lines, paused && frame ? frame.timestamp - newest : NaN);
+    this._drawn = { axes: { left, right, x: "time, s", ...yAxis(quantity, lines.map(({ y }) => y), session) }, lines };
+    this._follow();
     const what = `${this._quantity.selectedOptions[0].text} of ${[...all.keys()].map(title).join(", ")}, `;
     this.chart.canvas.setAttribute("aria-label", `${what}${time.text}`);
+  }
+
+  /** Draw what was read last along the time axis as it is now: the other charts go on while this one reads. */
+  _follow() {
+    const { _session: session, _drawn: drawn } = this;
+    if (!session || !drawn || !this._slots.size) return;
+    const newest = newestOf(session);
+    [drawn.axes.left, drawn.axes.right] = this._viewer.time.ends(newest);
+    for (const each of drawn.lines) each.zero = newest;
+    const { frame, paused } = session;
+    this.chart.draw(drawn.axes, drawn.lines, paused && frame ? frame.timestamp - newest : NaN);
   }
 
   async _save() {
@@ -168,6 +181,9 @@ export class SeriesPanel {
     }
   }
 }
+
+/** @param {Session} session @returns {number} Unix s, of its newest frame; 0 for none */
+const newestOf = ({ history: { trace } }) => trace.times[trace.place(0)] || 0;
 
 /** @param {string} key @returns {string} what a reader calls it */
 const title = (key) => key.replace("region ", "");

@@ -16,10 +16,10 @@ const SERIES = ["#56b4e9", "#ff9d5c", "#19a87c", "#e8a0cc", "#e7edf3", "#f0d24c"
 export class RegionLayer {
   /** @param {HTMLElement} frame of the map */
   constructor(frame) {
-    this._canvas = document.createElement("canvas");
-    this._canvas.className = "marks";
-    this._canvas.setAttribute("aria-hidden", "true");
+    this._canvas = layer();
+    this._names = layer();
     frame.querySelector("canvas")?.after(this._canvas); // under the labels of contacts
+    frame.append(this._names); // over the outlines of contacts
     /** @type {Plane|null} */
     this._plane = null;
     this._zoom = 1;
@@ -40,7 +40,6 @@ export class RegionLayer {
     const draw = context2d(this._canvas);
     draw.setTransform(ratio, 0, 0, ratio, 0, 0);
     draw.clearRect(0, 0, plane.width * zoom, plane.height * zoom);
-    draw.font = `600 ${TEXT_PX}px ${getComputedStyle(document.body).fontFamily}`;
     draw.lineJoin = "round";
     const labels = [];
     for (const { name, shape, points_mm, exceeded, slot } of outlines) {
@@ -48,9 +47,9 @@ export class RegionLayer {
       const points = points_mm.map(([x, y]) => [(x - plane.left) * zoom, (y - plane.top) * zoom]);
       const xs = points.map((each) => each[0]);
       const ys = points.map((each) => each[1]);
-      const [left, top, bottom] = [Math.min(...xs), Math.min(...ys), Math.max(...ys)];
+      const [left, right, top, bottom] = [Math.min(...xs), Math.max(...xs), Math.min(...ys), Math.max(...ys)];
       draw.beginPath();
-      outline(draw, shape, points, left, top, Math.max(...xs) - left, bottom - top);
+      outline(draw, shape, points, left, top, right - left, bottom - top);
       for (const [width, stroke] of /** @type {const} */ ([[3.5, "rgb(0 0 0 / 80%)"], [1.5, color]])) {
         draw.setLineDash(width > 2 || exceeded ? [] : [6, 3]);
         draw.lineWidth = width;
@@ -59,14 +58,21 @@ export class RegionLayer {
       }
       draw.setLineDash([]);
       if (!name && shape === "polygon") drawHandle(draw, points[0]);
-      if (name) labels.push({ name: exceeded ? `▲ ${name}` : name, color, left, top, bottom });
+      if (!name) continue;
+      const [low, high] = { rectangle: [], ellipse: Array(2).fill((left + right) / 2), polygon: [bottom, top].map((y) => xs[ys.indexOf(y)]) }[shape];
+      labels.push({ name: exceeded ? `▲ ${name}` : name, color, left, top, bottom, low, high });
     }
     return this._label(labels, plane.width * zoom, plane.height * zoom);
   }
 
   /** @param {Name[]} names @param {number} width px, of the map @param {number} height px @returns {Place[]} */
   _label(names, width, height) {
-    const draw = context2d(this._canvas);
+    const ratio = fitCanvas(this._names, width, height);
+    const draw = context2d(this._names);
+    draw.setTransform(ratio, 0, 0, ratio, 0, 0);
+    draw.clearRect(0, 0, width, height);
+    draw.font = `600 ${TEXT_PX}px ${getComputedStyle(document.body).fontFamily}`;
+    draw.lineJoin = "round";
     draw.lineWidth = 3;
     draw.strokeStyle = "rgb(0 0 0 / 80%)";
     const places = placeNames(names, width, height, (text) => draw.measureText(text).width);
@@ -79,7 +85,18 @@ export class RegionLayer {
   }
 }
 
-/** @typedef {{name: string, color: string, left: number, top: number, bottom: number}} Name of a region that is there, px */
+/** @returns {HTMLCanvasElement} */
+function layer() {
+  const canvas = document.createElement("canvas");
+  canvas.className = "marks";
+  canvas.setAttribute("aria-hidden", "true");
+  return canvas;
+}
+
+/**
+ * Name of a region that is there, px; `low` and `high` are x of the lowest and highest place of what is no rectangle.
+ * @typedef {{name: string, color: string, left: number, top: number, bottom: number, low?: number, high?: number}} Name
+ */
 /** @typedef {Name & {x: number, y: number, wide: number}} Place by its lower left corner */
 
 /**
@@ -96,11 +113,11 @@ export function placeNames(names, width, height, widthOf) {
   for (const each of names) {
     const { left, top, bottom } = each;
     const wide = widthOf(each.name);
-    const x = Math.max(2, Math.min(width - wide - 2, left + 2));
-    const free = (/** @type {number} */ y) => y >= TEXT_PX && y <= height - 4
+    const [low, high] = [each.low, each.high].map((at) => Math.max(2, Math.min(width - wide - 2, at === undefined ? left + 2 : at - wide / 2)));
+    const free = (/** @type {number[]} */ [x, y]) => y >= TEXT_PX && y <= height - 4
       && placed.every((other) => Math.abs(other.y - y) > TEXT_PX || other.x > x + wide || x > other.x + other.wide);
-    const y = [bottom + TEXT_PX + 1, top - 4, top + TEXT_PX + 2, bottom - 4, (top + bottom) / 2].find(free);
-    if (y !== undefined) placed.push({ ...each, x, y, wide });
+    const place = [[low, bottom + TEXT_PX + 1], [high, top - 4], [high, top + TEXT_PX + 2], [low, bottom - 4], [low, (top + bottom) / 2]].find(free);
+    if (place) placed.push({ ...each, x: place[0], y: place[1], wide });
   }
   return placed;
 }

@@ -85,6 +85,8 @@ export class Viewer {
     this.onPainted = () => {};
     /** Draws other charts of the time axis. @type {() => void} */
     this.onTime = () => {};
+    /** Learns that the charts were drawn that go on with the time. @type {() => void} */
+    this.onTrends = () => {};
     /** Draws force over a recording. @type {(unit: number) => void} */
     this.drawOverview = () => {};
     /** Name of the sensor that is chosen; "" for none. */
@@ -187,6 +189,7 @@ export class Viewer {
         const { trace } = session.history;
         this.forces.draw(trace, this.time.ends(trace.times[trace.place(0)]), cursor);
         this.latencies.draw(session.history, LATENCY_ENDS, cursor);
+        this.onTrends();
       }
     }
     this.onPainted(now);
@@ -302,6 +305,7 @@ export class Viewer {
     this.probe.clear();
     this.held.reset();
     for (const range of this.ranges) range.reset();
+    if (this.time.zoomed) this.time.reset(this.time.span); // of another sensor that time is not known
     this.maps.clear();
     for (const each of [this.section, this.forces, this.latencies]) each.chart.clear();
     this.kernel.use(null);
