@@ -34,5 +34,5 @@ def filters_in_kernel(bus: BusABC) -> bool:
 
 
 def unended_line(bus: BusABC) -> bytearray:
-    """What slcan's driver holds of a line that has not ended; bytes of no effect for other drivers."""
+    """The buffer of slcan's driver, with a line that has not ended; of any other driver a new empty one."""
     return bus._buffer if isinstance(bus, SlcanBus) else bytearray()

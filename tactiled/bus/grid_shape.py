@@ -1,7 +1,7 @@
 """Rows and columns of an array whose taxels come in one row after the other, from what presses on it; pure.
 
-Cover and contacts spread over neighbours. In the right grid a taxel changes as those beside and below it do, and
-the last of a row unlike the first of the next.
+Cover and contacts spread over neighbours. So in the right grid a taxel changes like those beside and below it, and
+the last taxel of a row changes unlike the first of the next row.
 """
 
 from collections.abc import Iterable
@@ -10,25 +10,25 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-MAX_FRAMES = 100  # the strongest
+MAX_FRAMES = 100  # the strongest ones are used
 MIN_SIGNAL = 4.0  # mean square of the changes over that of the noise
-MAX_UNLIKE = 0.4  # of neighbours in the right grid: more is no telling
-MIN_UNLIKE = 0.01  # less is as good
-TIE = 1.2  # a grid that is so much worse may be right, too
-LINE = 3.0  # a line so much better than every grid: only edges along it pressed, which tell nothing
-SEAM_SHARE = 0.6  # of the mean square that the ends of rows need to speak
-MAX_SEAM_ALIKE = 0.5  # of them, where rows end there
+MAX_UNLIKE = 0.4  # of neighbours in the right grid: with more there is no answer
+MIN_UNLIKE = 0.01  # of neighbours: less counts as this
+TIE = 1.2  # times the best grid's unlikeness: up to that another grid may be right, too
+LINE = 3.0  # if a single line is so many times better than every grid, only edges along it pressed: no answer
+SEAM_SHARE = 0.6  # of the signal that taxels at the ends of rows must have to count against a grid
+MAX_SEAM_ALIKE = 0.5  # unlikeness of the ends of rows: with less the row goes on, and the grid is wrong
 
 
 class _Likeness(NamedTuple):
-    """Of some pairs of taxels."""
+    """How alike some pairs of taxels change."""
 
-    unlike: float  # mean square of their difference over that of both: 0 for the same, 1 for strangers
+    unlike: float  # mean square of their difference over that of both: 0: the same, 1: independent
     energy: float  # mean square of both
 
 
 def alike_shapes(counts: NDArray[Any], sizes: Iterable[int]) -> list[tuple[int, int]]:
-    """Rows x columns in which neighbours change most alike, the squarest first; none where nothing tells.
+    """Rows x columns in which neighbours change most alike, the squarest first; none where none is clear.
 
     `counts` (T, N) are of at least as many taxels as the largest of `sizes`, those that the array may have.
     """
@@ -39,7 +39,7 @@ def alike_shapes(counts: NDArray[Any], sizes: Iterable[int]) -> list[tuple[int, 
 
 
 def _alike(changes: NDArray[np.float64], sizes: list[int]) -> list[tuple[int, int]]:
-    """The same of counts without their rest."""
+    """The same of changes from rest (T, N)."""
     grids = [each for size in sizes for each in _grids(changes[:, :size])]
     plane = [each for each in grids if 1 not in each[1:]]
     if not plane:
@@ -52,7 +52,7 @@ def _alike(changes: NDArray[np.float64], sizes: list[int]) -> list[tuple[int, in
 
 
 def _grids(changes: NDArray[np.float64]) -> list[tuple[float, int, int]]:
-    """How unlike neighbours change in every grid that the ends of its rows allow, with its rows and columns."""
+    """(unlikeness of neighbours, rows, columns) of every grid that the ends of its rows allow."""
     size = changes.shape[1]
     if len(changes) < 2:
         return []
@@ -77,7 +77,7 @@ def _grids(changes: NDArray[np.float64]) -> list[tuple[float, int, int]]:
 def _likeness(
     changes: NDArray[np.float64], noise: float, first: NDArray[np.intp], second: NDArray[np.intp]
 ) -> _Likeness | None:
-    """Of pairs of taxels, without the noise; None where nothing changes."""
+    """How alike pairs of taxels change, the noise taken off; None where nothing changes."""
     if not first.size:
         return None
     one, other = changes[:, first.ravel()], changes[:, second.ravel()]

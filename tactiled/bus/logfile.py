@@ -30,7 +30,7 @@ MESSAGES = {
     blf.CAN_MESSAGE, blf.CAN_MESSAGE2, blf.CAN_ERROR_EXT, blf.CAN_FD_MESSAGE, blf.CAN_FD_MESSAGE_64,
 }  # fmt: skip
 CONVERT = "convert it to candump's log, as SavvyCAN can"
-WITH_LAST_END = (".log", ".asc")  # whose last line has an end, too: without it a message may be half of one
+WITH_LAST_END = (".log", ".asc")  # whose last line ends with a newline: without it the line may be cut off
 
 
 class Lines(io.TextIOWrapper):

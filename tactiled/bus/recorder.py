@@ -16,10 +16,10 @@ from tactiled.bus.logfile import WRITERS, flush
 from tactiled.bus.reader import Reader
 from tactiled.errors import BusError, ConfigError, TactileError
 
-FLUSH_S = 0.25  # how often what has come is put on the disk: a crash costs no more, and a slow disk's time
+FLUSH_S = 0.25  # from one write to the disk to the next: a crash costs no more, but for what a slow disk delays
 MAX_WAITING = 100_000  # messages for the disk, 6 s of two full 1 Mbit/s buses, before it counts as too slow
 JITTER_S = 0.1  # by which a message may be older than the one before it without a step of the clock
-READ_S = 0.05  # how long a read waits: bounds how late a stop, or what the kernel dropped, is seen
+READ_S = 0.05  # how long a read waits: a stop, or a drop of the kernel, is seen no later
 
 
 class ChunkFile(io.RawIOBase):
@@ -165,7 +165,7 @@ class Recorder:
             self._flush()  # the header
             self._write()
             self._end()
-        except Exception as error:  # a writer raises what it likes on a message that its format does not know
+        except Exception as error:  # a writer may raise anything for a message that its format cannot hold
             reason = error.strerror if isinstance(error, OSError) else str(error)
             self._fault = " ".join((reason or type(error).__name__).split())
             with suppress(OSError, TactileError):

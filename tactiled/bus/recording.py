@@ -31,14 +31,14 @@ from tactiled.frames import Message
 MAX_ID = (1 << 29) - 1
 MAX_TIME_S = 1 << 32  # Unix time in 2106: no message is younger, and Foxglove's times go no further
 MAX_PAUSE_S = 10.0  # longest pause that is played; a longer one is shortened
-MAX_BACK_S = 1.0  # more than messages of several buses are out of order by; so much is played of a step back
+MAX_BACK_S = 1.0  # messages of several buses are less out of order; a step further back counts as this
 END_CUT = "its end is cut off"
 FD_LOST = "its format does not tell CAN FD: all messages of an id that has longer ones than 8 bytes count as such"
-MAX_MESSAGES, MAX_MESSAGES_PER_BYTE = 1000, 4  # of a file; gzip needs 2.5 bytes for one that says nothing new
-CPU_S, BYTES_PER_CPU_S = 2.0, 10e6  # without a message; what the slowest format and machine read in a second
+MAX_MESSAGES, MAX_MESSAGES_PER_BYTE = 1000, 4  # in a file; gzip needs 2.5 bytes for a message like the one before
+CPU_S, BYTES_PER_CPU_S = 2.0, 10e6  # without a message; read in the slowest format on the slowest machine
 MAX_REASON_CHARACTERS = 300  # of a reader, which may quote a whole line
-LIBRARY_CPU_S = 20.0  # instead, where a library must be loaded and has the whole file in memory
-MEMORY_MB, MEMORY_PER_BYTE = 512.0, 8  # the latter there, too
+LIBRARY_CPU_S = 20.0  # in place of CPU_S where a library is loaded, which reads the whole file into memory
+MEMORY_MB, MEMORY_PER_BYTE = 512.0, 8  # MEMORY_PER_BYTE only with such a library
 SHIPPED = Path(__file__).parents[1] / "recordings"
 
 
@@ -56,9 +56,9 @@ def path(name: str) -> Path:
 
 
 class Pace:
-    """Time (s) since a recording's first message, which goes on with its messages and never back.
+    """Time (s) since a recording's first message; it follows the messages and never steps back.
 
-    Of a step, a pause longer than MAX_PAUSE_S or one back by more than MAX_BACK_S, so much is played and no more.
+    A pause longer than MAX_PAUSE_S lasts MAX_PAUSE_S; a step back by more than MAX_BACK_S counts as MAX_BACK_S.
     """
 
     def __init__(self) -> None:
@@ -83,10 +83,10 @@ class Pace:
 
 
 def read(path: Path, ids: frozenset[Key] = frozenset(), remarks: Remarks | None = None) -> Iterator[Message]:
-    """Every data frame of a recording, as timed there; ConfigError where the file cannot be read or meant.
+    """Every data frame of a recording, with its time; ConfigError where the file cannot be read.
 
-    Nor is one meant where a message of `ids`, which sensors listen to, comes from two channels: frames would mix.
-    What else the file has is added to `remarks`. A `Recording` does this in a process with bounds.
+    Also where messages of one of `ids`, which sensors listen to, come from two channels: frames would mix. What
+    else the file has is added to `remarks`. A `Recording` does this in a process with bounds.
     """
     count, channels = 0, dict[Key, str]()
     remarks = remarks or Remarks()
@@ -120,7 +120,7 @@ def read(path: Path, ids: frozenset[Key] = frozenset(), remarks: Remarks | None 
 
 
 def _bounded(log: Iterable[Logged], max_count: int) -> Iterator[Logged]:
-    """What a log has; ValueError where it is more."""
+    """What a log has; ValueError for more than `max_count` messages."""
     items = iter(log)
     yield from islice(items, max_count)
     if next(items, None) is not None:
@@ -128,7 +128,7 @@ def _bounded(log: Iterable[Logged], max_count: int) -> Iterator[Logged]:
 
 
 def _mixed(path: Path, key: Key, first: str, second: str) -> str:
-    """That an id comes from two channels, and how to keep one of them."""
+    """A line that says that an id comes from two channels, and how to keep one of them."""
     advice = "record one bus alone"
     if ".log" in path.suffixes:
         grep = "zgrep" if path.suffix == ".gz" else "grep"
@@ -139,14 +139,14 @@ def _mixed(path: Path, key: Key, first: str, second: str) -> str:
 
 
 def _kind(each: Logged, message: Message) -> str:
-    """What a message is, as Remarks counts it, that is no data frame; else ""."""
+    """The kind, as Remarks counts it, of a message that is no data frame; else ""."""
     if isinstance(each, CanMessage) and (each.is_error_frame or each.is_remote_frame):
         return ERROR_FRAME if each.is_error_frame else REMOTE_FRAME
     return UNREADABLE * (not 0 <= message.id <= MAX_ID or len(message.data) > MAX_BYTES)
 
 
 class _WithKind:
-    """Messages of python-can's readers; where a format does not tell CAN FD, a long message tells it of its id."""
+    """Messages of python-can's readers; without a mark of CAN FD, a long message marks all of its id."""
 
     def __init__(self, remarks: Remarks) -> None:
         self._remarks, self._long = remarks, set[Key]()
@@ -163,7 +163,7 @@ class _WithKind:
 
 
 def _rows(path: Path, ids: frozenset[Key], zone: str | None) -> Iterator[tuple[object, ...]]:
-    """The fields of every message, and behind them, also before an error, those of the remarks."""
+    """The fields of every message; then those of the remarks, also if an error follows."""
     remarks = Remarks()
     try:
         messages = read(path, ids, remarks)
@@ -175,7 +175,7 @@ def _rows(path: Path, ids: frozenset[Key], zone: str | None) -> Iterator[tuple[o
 
 
 def _in_zone(messages: Iterator[Message], zone: str, remarks: Remarks) -> Iterator[tuple[object, ...]]:
-    """Fields of messages whose recording does not say in which zone its times are, at those of `zone`."""
+    """Fields of messages; the times of a recording that names no time zone are taken for those of `zone`."""
     ahead_s = 0.0
     for count, (time_s, *fields) in enumerate(messages):
         if count == 0 and LOCAL_TIME in remarks.caveats:

@@ -50,7 +50,7 @@ def survey(messages: Iterable[Message]) -> Survey:
     matches.sort(key=lambda each: each[1].codec.modulus is None)
     senders = []
     for name, match in matches:
-        if all(key in traffic for key in match.keys):  # else another has them
+        if all(key in traffic for key in match.keys):  # not yet taken by a skin before it
             own = sorted((m for key in match.keys for m in traffic.pop(key)), key=lambda each: each.time)
             senders.append(_measured(name, match, own))
     unknown = [UnknownId(*key, len(each), mean_rate_hz([m.time for m in each])) for key, each in traffic.items()]
@@ -58,7 +58,7 @@ def survey(messages: Iterable[Message]) -> Survey:
 
 
 def mean_rate_hz(times: Sequence[float]) -> float:
-    """Of what came at these times (s), in any order; 0 where there is no telling."""
+    """Mean rate (1/s) of what came at these times (s), in any order; 0 if they are all the same."""
     span = max(times, default=0.0) - min(times, default=0.0)
     return (len(times) - 1) / span if span > 0 else 0.0
 
@@ -66,6 +66,6 @@ def mean_rate_hz(times: Sequence[float]) -> float:
 def _measured(name: str, match: Match, messages: list[Message]) -> Sender:
     frames, loss = assemble(match.codec, messages)
     good = [each.counts for each in frames if not each.flags.any()]
-    rate_hz = mean_rate_hz([each.time for each in frames[1:]])  # the first may have begun before
+    rate_hz = mean_rate_hz([each.time for each in frames[1:]])  # the first may have begun before the recording
     lost = loss.lost - frames[:SETTLED_FRAMES][-1].loss.lost if frames else 0
     return Sender(name, match, len(good), rate_hz, lost, int(np.median(good)) if good else 0)

@@ -62,7 +62,7 @@ class XelaServerBus(BusABC):
             return messages
         except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
             fault = f"no message of XELA's server: {type(error).__name__}: {error}"
-        raise ValueError(fault)  # by itself: what it comes from would look like a fault of the bus
+        raise ValueError(fault)  # outside of `except`: an error with a cause would count as a fault of the bus
 
     def send(self, msg: CanMessage, timeout: float | None = None) -> None:
         """The server takes none."""

@@ -15,14 +15,14 @@ from tactiled.units import FORCE_SCALES, PRESSURE, Unit
 Labels = NDArray[np.int64]
 
 # `python -m tests.bench contacts` measures what these bounds find and split.
-BEGIN_SIGMAS = 5.0  # noise standard deviations from which a contact begins
-CONTINUE_SIGMAS = 3.0  # down to which it may fall and go on; and depth of a dip that is not chance
-NEAR_PITCHES = 8.0  # within which a peak counts in full, and restoration may ring round it
-FAR_PEAK_SHARE = 0.2  # of a peak further off that counts
-SKIRT_SHARE = 0.1  # of the highest peak that counts, below which a cell is a skirt or rings
+BEGIN_SIGMAS = 5.0  # noise standard deviations above which a contact begins
+CONTINUE_SIGMAS = 3.0  # down to which one that has begun goes on; also the least depth of a dip
+NEAR_PITCHES = 8.0  # around a peak where restoration may ring: there it counts in full
+FAR_PEAK_SHARE = 0.2  # part of a more distant peak that counts
+SKIRT_SHARE = 0.1  # of the highest of these: a lower cell is a skirt, or rings
 MAX_PEAKS = 512  # of an image: the time of all steps grows with the square of their number
-DIP_SHARE = 0.3  # of the same, by which the pressure dips between two contacts
-PART_SHARE, JOIN_SHARE = 0.4, 0.2  # the same where in the image before they were one contact, or two
+DIP_SHARE = 0.3  # of the same: depth of the dip between two contacts
+PART_SHARE, JOIN_SHARE = 0.4, 0.2  # the same if they were one contact, or two, in the image before
 OUTLINE_SIGMAS = 2.0  # standard deviations of a contact's pressure from its centre to the ellipse that shows it
 
 
@@ -50,7 +50,7 @@ class Finder:
         self._cells, self._felt = cells, cells.felt
         self._border = cells.rim & ~_ends(array, cells)
         self._near = 2 * round(NEAR_PITCHES * array.pitch / cells.side) + 1  # cells
-        self.parts: Labels = np.zeros(cells.shape, np.int64)  # cells of the last image by contact, 0: none
+        self.parts: Labels = np.zeros(cells.shape, np.int64)  # contact of each cell in the last image, 0: none
 
     def __call__(
         self,
@@ -64,10 +64,10 @@ class Finder:
     ) -> list[DetectedContact]:
         """Contacts of an image (in `unit`), the strongest first, all with id 0; `noise` is a cell's.
 
-        With `faint` also those too faint to begin, which one that has begun may have become. None of which too
-        little is left, by the `shares` of the cells. What was one contact, or two, in the `parts` of the image
-        before stays so over a dip that is near the bound. `deviation` gives the cells' (in `unit`); where there is
-        no contact, nothing asks for it.
+        With `faint` also those too faint to begin: a contact that has begun may become as faint. A contact is
+        left out if too little of it is known, by the `shares` of the cells. At a dip near the bound, what was one
+        contact or two in `before`, the `parts` of the last image, stays so. `deviation` gives the cells' (in
+        `unit`); it is called only if there are contacts.
         """
         pressure = np.where(self._felt, np.nan_to_num(np.asarray(image, float)), 0)
         begin, go_on = BEGIN_SIGMAS * noise, CONTINUE_SIGMAS * noise
@@ -112,7 +112,7 @@ class Finder:
         area = self._cells.side**2
         force = pressure[skirt] * area  # unit of pressure times mm^2
         places = self._cells.positions[skirt]
-        weight = np.maximum(force, 0) / np.maximum(force, 0).sum()  # what rings below zero has no place
+        weight = np.maximum(force, 0) / np.maximum(force, 0).sum()  # negative ringing has no part in the centre
         centre = weight @ places
         offset = places - centre
         within_cells = area / 12  # mm^2, variance of the even pressure inside a square cell
@@ -146,7 +146,7 @@ def _ends(array: Array, cells: Raster) -> Mask:
 
 
 def _split(picture: Floats, pressed: Mask, highest: Floats, least: float, was: Labels) -> Labels:
-    """Number the pressed squares by contact: basins round the peaks that a dip or a skirt parts; all others 0.
+    """Number the pressed squares by contact: basins around peaks with a dip or a skirt between them; 0 elsewhere.
 
     A dip has at least the depth `least`. `was` are the squares' numbers in the image before, 0 for none.
     """

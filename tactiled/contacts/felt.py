@@ -1,7 +1,7 @@
 """What a frame that lost messages still tells: the rule by which a cell, a region or a contact is unknown.
 
-The share that is left of a cell is H'a / H'1, what the taxels feel of it, with a = 0 where a message is lost,
-or a reading is so far below zero that it is no pressure.
+The share of a cell that is left is H'a / H'1: what the taxels with a = 1 feel of it. a = 0 where a message is
+lost, or a reading is too far below zero to be a pressure.
 """
 
 from functools import lru_cache
@@ -16,18 +16,18 @@ from tactiled.restore.scene import MIN_REACH
 # `python -m tests.bench felt` measures what is wrong at each share.
 MIN_CELL_SHARE = 0.2  # with less an image misses over half of the pressure on a cell
 MIN_SUM_SHARE = 0.8  # of a region or contact without an unknown cell, whose force is then right to 15 %
-KEPT_SHARES = 64  # taxels that never come are the same ones in each frame
+KEPT_SHARES = 64  # patterns of lost taxels: those that never come are the same in each frame
 
 
 def is_known(share: Reals | np.floating | float, summed: bool = False) -> Mask:
-    """Whether enough is left (0 ... 1) of a cell, or of one `summed` over cells: a region, a contact."""
+    """Whether enough is left (0 ... 1) of a cell, or of a region or contact, `summed` over cells."""
     return np.asarray(share) >= (MIN_SUM_SHARE if summed else MIN_CELL_SHARE)
 
 
 def shares(flags: Flags, blur: Blur) -> Floats32 | None:
     """The share of each cell that a frame with these flags has; None where none is lost.
 
-    Taxels that are dead or faulty, but not all, are restored from their neighbours: they are lost to no frame.
+    Dead or faulty taxels, unless all are, do not count as lost: they are restored from their neighbours.
     """
     if not np.count_nonzero(flags):
         return None

@@ -9,8 +9,8 @@ from tactiled.arrays import Floats, Mask
 from tactiled.contacts.detection import DetectedContact
 
 MAX_STEP_PITCHES = 3.0  # from where a contact was, or should be by its speed
-MAX_FAINT_STEP_PITCHES = 1.0  # the same of one that has become faint
-MAX_LONE_SPEED = 100.0  # pitches a second that one may go beyond that where no other is near
+MAX_FAINT_STEP_PITCHES = 1.0  # the same if it has become faint
+MAX_LONE_SPEED = 100.0  # pitches a second by which a contact may go further if no other is near
 SPEED_GAIN = 0.5  # share of the difference from the predicted place that changes the speed
 CHANGE_PITCHES = 0.5  # a link counts as longer by, for each factor e of area: a ring is not what it surrounds
 GONE_AFTER_S = 0.2  # until then a contact may come back

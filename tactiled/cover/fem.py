@@ -1,8 +1,8 @@
 """The gain of a cover by axisymmetric finite elements, refined until an error estimate meets the accuracy.
 
-A smooth footprint presses on the axis of a disc whose rim slides without friction. At the frequencies where
-J1(2 pi q R) is 0 such a rim stands where a wave has no slope, so that the disc of radius R has the very gain of
-the endless cover: no far field is cut, and R only says how closely low frequencies are sampled.
+A smooth footprint presses on the axis of a disc of radius R whose rim slides without friction. At frequencies q
+with J1(2 pi q R) = 0 a wave of an endless cover has no slope at the rim. So there the disc has exactly the gain of
+the endless cover: no far field is cut, and R only sets how densely low frequencies are sampled.
 """
 
 from collections.abc import Callable, Iterable
@@ -20,7 +20,7 @@ from tactiled.errors import PhysicsError
 # Chosen on random stacks against the exact gain: `python -m tests.bench cover`.
 FLOOR = 1e-3  # the accuracy holds up to where the gain stays under this
 FOOTPRINT = 0.25  # radius of the footprint, times the frequency where the gain ends
-CORE = 0.75  # radius of the mesh's even core, times the same
+CORE = 0.75  # radius of the mesh's even core, times that frequency
 COARSEST = 0.5  # size of an element, over its distance from the core's far side
 # That size outwards and downwards, from level to level finer.
 LEVELS = [(COARSEST * 2**-step, COARSEST * 2 ** (-step / 2)) for step in np.arange(0, 5.1, 0.5)]
@@ -33,7 +33,7 @@ LOW_FREQUENCIES = 17  # that tell whether the disc samples the low end closely e
 SAMPLES_PER_DECADE = 48
 MIN_ACCURACY = 1e-6  # the interpolation between frequencies is no better
 STRESS_PLACES = 301  # where the stress under a footprint is given
-MAX_UNKNOWNS = 120_000  # seconds, and a gigabyte
+MAX_UNKNOWNS = 120_000  # take seconds, and a gigabyte
 MAX_WAVES = 1e5  # across the disc: the transform of so many takes seconds
 
 Late = Callable[[], bool]  # whether time is up
@@ -152,7 +152,8 @@ def _with_corner(profile: Profile | None, radius: float) -> Profile:
 def _survey(stack: Stack, profile: Profile | None, accuracy: float, late: Late) -> tuple[float, float]:
     """Find by coarse meshes the frequency (cycles/mm) where the gain ends and the radius (mm) the disc needs.
 
-    High frequencies hear the coarse mesh's own error, which lessens with the mesh fitted closer: in steps.
+    The coarse mesh's own error adds to the gain at high frequencies. So `end` comes down in steps, each with a
+    mesh that fits it better.
     """
     if not MIN_ACCURACY <= accuracy < 1:
         raise PhysicsError(f"accuracy is {accuracy}: give {MIN_ACCURACY:g} to less than 1, such as 1e-3")

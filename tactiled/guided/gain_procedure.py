@@ -30,8 +30,8 @@ MarkKey = Literal["pressure_kpa", "weight_n"]
 MARKS: dict[GainWay, tuple[MarkKey, str]] = {"uniform": ("pressure_kpa", "kPa"), "weight": ("weight_n", "N")}
 MIN_STEPS = 3  # pressures, 0 among them
 MAX_DRIFT_SHARE = 0.02  # of a load: largest change within the second that is taken
-MIN_MARK_FRAMES = 10  # from as many a gain's fit first guesses no load
-STEADY_SIGMAS = 5.0  # of noise: a false "still moving" once in a million marks
+MIN_MARK_FRAMES = 10  # the fit of a gain needs as many for its first guess of no load
+STEADY_SIGMAS = 5.0  # of noise: one mark in a million is refused wrongly
 CURVE_POINTS = 60  # of a plotted curve
 
 

@@ -31,7 +31,7 @@ def numbers_with_data(recorded: Iterable[RawFrame]) -> tuple[int, ...]:
 
 
 def are_all(numbers: Sequence[int], count: int) -> bool:
-    """Whether no more of `numbers_with_data` come where more than these `count` frames are searched."""
+    """Whether these `numbers_with_data` of the first `count` frames are complete."""
     return len(numbers) == NOISE_FRAMES or count >= MAX_NOISE_SEARCH
 
 

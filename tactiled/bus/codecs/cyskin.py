@@ -48,7 +48,7 @@ class CySkin(ClassicSkin):
 
     @classmethod
     def recognise(cls, traffic: Traffic) -> Iterator[Match]:
-        """Four ids, as often as one another."""
+        """Four ids that came equally often."""
         codec, keys = cls(), traffic.standard(IDS)
         if len(keys) == len(IDS) and traffic.even(keys) and understands(codec, traffic.messages(keys)):
             note = "array: 4 x 4 stands for the 16 taxels: give their positions_mm"

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from cantools.database.can import Message as Layout
     from cantools.database.can import Signal
 
-MAX_COUNT = 0xFFFF  # asked of a signal that could carry more
+MAX_COUNT = 0xFFFF  # largest count that `_range` gives, however many bits a signal has
 MAX_FLOAT = float(np.finfo(np.float32).max)
 
 
@@ -231,7 +231,7 @@ def _variant(layout: "Layout", signal: "Signal") -> tuple[str | None, int | None
 
 
 def _range(signal: "Signal") -> tuple[int, int]:
-    """Smallest and largest count asked of a signal."""
+    """Smallest and largest count that the array may have from a signal."""
     if signal.is_float:
         return -MAX_COUNT, MAX_COUNT
     bits = signal.length - signal.is_signed

@@ -39,7 +39,7 @@ class Layout(NamedTuple):
     finger: tuple[int, int]  # rows, columns
     taxels: int  # in a message; the last may have fewer
     palm: tuple[int, int] | None = None  # rows, columns
-    code: int | None = None  # asks for a matrix whose messages name the row alone
+    code: int | None = None  # of a request for a matrix whose messages carry a row number alone
 
 
 LAYOUTS: dict[Literal["12x6", "10x4", "g20-5", "g20-7", "o20"], Layout] = {
@@ -115,7 +115,7 @@ class Linker(ClassicSkin):
 
     @cached_property
     def ids(self) -> frozenset[Key]:
-        """The hand's one id; of an O20, an id a message, whichever way its bit of writing is."""
+        """The hand's one id; of an O20 two a message, with its write bit clear and set."""
         if self.layout != "o20":
             return standard_ids(HANDS[self.hand])
         registers = range(TACTILE, TACTILE + 2 * (PALM - 1))
@@ -127,7 +127,7 @@ class Linker(ClassicSkin):
 
     @cached_property
     def polling(self) -> Polling:
-        """A request to each finger after the other, which answers by its messages."""
+        """Requests to the fingers, one after the other; each answers by its messages."""
         if not self.poll_hz:
             return Polling()
         polls, first, kind = [], 0, LAYOUTS[self.layout]

@@ -24,7 +24,7 @@ CLASSIC, FD = 8, 64  # bytes a message
 LENGTHS: tuple[int, ...] = (*range(9), 12, 16, 20, 24, 32, 48, 64)  # that CAN and CAN FD know
 MAX_SEGMENTS = 256
 DEFAULT_BITS = 12
-SHAPE_FRAMES = 1000  # looked at for rows and columns
+SHAPE_FRAMES = 1000  # from which rows and columns are guessed
 
 
 @dataclass(frozen=True)
@@ -186,7 +186,7 @@ class Fit(NamedTuple):
 
 
 def _counts_up(messages: Sequence[Message]) -> bool:
-    """Whether nearly every message is what must come behind the one before it, lost ones allowed for."""
+    """Whether nearly every message may follow the one before it; some may be lost between them."""
     if len(messages) < 4 or any(len(each.data) < HEADER or each.fd != messages[0].fd for each in messages):
         return False
     heads = [(each.data[0], each.data[1]) for each in messages]
@@ -234,7 +234,7 @@ def _roughness(codec: Packed, messages: Sequence[Message]) -> float:
 
 
 def likeliest(fits: Sequence[Fit]) -> Fit:
-    """The width whose images step least, the smallest of such; the usual one where nothing steps at all."""
+    """The width with the least roughness, of nearly equal ones the smallest; DEFAULT_BITS if all have none."""
     if all(each.roughness == 0 for each in fits):
         return next((each for each in fits if each.bits == DEFAULT_BITS), fits[0])
     bound = 1.25 * min(each.roughness for each in fits) + 1e-3
@@ -242,7 +242,7 @@ def likeliest(fits: Sequence[Fit]) -> Fit:
 
 
 def squarest(min_size: int, max_size: int) -> tuple[int, int]:
-    """The squarest rows x columns with so many taxels; of equals the one with most of them."""
+    """The squarest rows x columns with so many taxels; of equally square ones the largest."""
     sizes = range(min_size, max_size + 1)
     sides = [(rows, size // rows) for size in sizes for rows in range(1, size + 1) if not size % rows]
     return min((each for each in sides if each[0] <= each[1]), key=lambda each: (each[1] / each[0], -each[0]))

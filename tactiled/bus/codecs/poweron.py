@@ -57,7 +57,7 @@ class PowerOn(ClassicSkin):
 
     @classmethod
     def recognise(cls, traffic: Traffic) -> Iterator[Match]:
-        """Twelve ids in a row, as often as one another, their last bytes never changing."""
+        """Twelve ids in a row that came equally often, and whose last bytes never change."""
         for id_, extended in sorted(traffic):
             codec = cls(id_)
             keys = traffic.standard(range(id_, id_ + codec.segments))

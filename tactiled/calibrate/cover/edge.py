@@ -40,8 +40,9 @@ from tactiled.geometry import Array
 ANGLES = np.radians(np.arange(0, 360, 5))  # of the first look
 FINER_ANGLES = np.radians(np.linspace(-4, 4, 9))
 MIN_EDGES = 2
-# How much of the load is missing beyond the array's border is solved for, too, with the response to all of it at
-# the first look. Readings nearer to the border, in depths of the cover, are not used; MIN_INSIDE of the rest are.
+# How much of the load is missing beyond the array's border is solved for, too; the response to all of it is as of
+# the first look. Readings within BORDER_DEPTHS depths of the cover from the border are not used, but those in the
+# inner MIN_INSIDE of the way from border to middle always are.
 BORDER_DEPTHS, MIN_INSIDE = 1.0, 0.5
 CELL_PITCHES, CELL_STEPS = 0.5, 6.0  # side of a cell beyond the border: pitches, or steps of the table if larger
 

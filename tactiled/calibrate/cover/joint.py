@@ -30,7 +30,7 @@ class Joint:
     freed: tuple[int, ...]  # whose priors the presses refuse
     misfit: float  # over what noise and gain errors explain, 1 at least
     interval: tuple[float, float]  # of the factor's logarithm, 95 %
-    sized: Solution  # with all but the size as given
+    sized: Solution  # with everything but the size as given
     # The simplest that explains the presses with the sensor as configured: restoration is right with its factor.
     effective: Solution
     effective_deviation: float  # of its factor's logarithm
@@ -92,7 +92,7 @@ def _refused(touch: Touch, solution: Solution, misfit: float, freed: list[int]) 
     offsets = np.abs(solution.shared - touch.prior.shared)
     pulls = {at: float(offsets[at] / touch.prior.shared_deviation[at]) for at in others}
     worst = max(others, key=lambda at: pulls[at], default=None)
-    # a size is measured far more exactly than a profile is known: if both explain the presses, it was mistaken
+    # A size is measured far more exactly than a profile is known: if both explain the presses, the size is wrong.
     if SIZE in others and ((worst == PROFILE and pulls[PROFILE] > PULL * misfit) or misfit > MISFIT):
         return SIZE
     return worst if worst is not None and pulls[worst] > PULL * misfit else None

@@ -1,6 +1,6 @@
-"""What comes of all robots, held against one schema and each robot's budgets; no network.
+"""Messages of all robots, checked against one schema and each robot's budgets; no network.
 
-What is refused is an event of its robot's and makes its sensor stale; no other robot's has anything to do with it.
+A refused message makes its sensor stale and adds an event of its robot; other robots are not affected.
 """
 
 import logging
@@ -20,9 +20,9 @@ from tactiled.live.watch import STATE_EVENTS
 
 LOG = logging.getLogger(__name__)
 LOOK_S = 0.1  # between two looks at the states, where nothing but images comes
-LINK_S = 2 * LOOK_S  # from the end of tokens until it is seen whether our own link has ended
-FORGET_S = 600.0  # that a sensor without a reader is listed for
-BUILDERS = 2  # sensors that are made at a time, each of another robot
+LINK_S = 2 * LOOK_S  # after tokens end, until we know whether our own link has ended
+FORGET_S = 600.0  # for which a sensor without a reader is listed
+BUILDERS = 2  # sensors that are made at the same time, each of a different robot
 # A new sensor gets an eighth of the memory that is left for past images; a robot has a quarter of all at most.
 HISTORY_SHARE, ROBOT_SHARE = 8, 4
 STRANGERS = 10  # events at once of robots without a sensor, all together
@@ -30,7 +30,7 @@ MAX_ROBOTS, MAX_SENSORS = 256, 512  # that are listed
 
 
 class Intake:
-    """Robots, their sensors, and what comes of them; messages on any thread, `work` on one."""
+    """Robots, their sensors and messages; messages are taken on any thread, `work` runs on one."""
 
     def __init__(self, server: Server) -> None:
         self._server = server
@@ -42,7 +42,7 @@ class Intake:
         self.lock = threading.RLock()  # of the three above
         self.builders = ThreadPoolExecutor(BUILDERS, "zenoh sensor")
         self.wake = threading.Event()  # there is work
-        self.left_out = False  # a robot, for want of a place
+        self.left_out = False  # whether there was no place for a robot
         self._strangers = Budget(1 / QUIET_S, STRANGERS)  # for events of robots without a sensor
         self._history_left = server.history_mb * 1e6  # bytes
         self._ready: dict[Line, None] = {}  # with a frame, with a state, and robots with events
@@ -89,7 +89,7 @@ class Intake:
         """A publisher of `robot/sensor/alive/session` came or went; any thread."""
         name, _, session = resource.replace("/alive/", "/", 1).rpartition("/")
         if not messages.ROBOT_AND_SENSOR.fullmatch(name) or not messages.SESSION.fullmatch(session):
-            return  # of no reader of ours
+            return  # not a reader of tactiled
         with self.lock:
             line = self.lines.get(name) or (self._new_line(name) if came else None)
             if line is None:
@@ -145,7 +145,7 @@ class Intake:
             return False
         changed, others = line.appear(session), [each for each in line.sessions if each != session]
         robot = self.robots[line.robot]
-        budget = robot.conflicts if robot.has_sensors else self._strangers  # not its own: by whomever
+        budget = robot.conflicts if robot.has_sensors else self._strangers  # nothing proves that the robot exists
         if others and budget.take(time.monotonic()):
             text = f"sessions {others[0]} and {session} both publish it: only the first is shown"
             self.events.add("publisher_conflict", text, line.name)
@@ -192,7 +192,7 @@ class Intake:
             self._build(line, session, description, request)
         except (ValueError, TactileError) as error:
             self.refuse(line, f"{error}")
-        except Exception as error:  # of an array that no one has thought of: no fault of this service
+        except Exception as error:  # an impossible geometry that the schema allows: no fault of this service
             LOG.exception("description of %s", line.name)
             self.refuse(line, f"geometry: {type(error).__name__}: {error!s:.100}")
 

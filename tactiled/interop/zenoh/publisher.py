@@ -278,7 +278,7 @@ class _Publication:
         with query:
             try:
                 self._reply(query, path)
-            except ValueError as error:  # of another's making
+            except ValueError as error:  # a malformed query
                 query.reply_err(f"{error}"[:MAX_ERROR])
             except Exception as error:
                 LOG.exception("zenoh: %s failed", path)

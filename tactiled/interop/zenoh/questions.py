@@ -22,7 +22,7 @@ from tactiled.web.http.headers import SAFE_METHODS
 if TYPE_CHECKING:
     import zenoh
 
-MAX_REPLIES = 4  # to one question: what others on the network add hides none of its reader's
+MAX_REPLIES = 4  # to one question: others on the network may answer, too
 MAX_PENDING = 8  # requests of clients to one robot
 FORBIDDEN = 403
 UNSIGNED = "an answer without its reader's signature: whether it was done is unknown"
@@ -32,9 +32,9 @@ NO_KEY = "this server has no zenoh.control_key: the sensors of all robots are re
 class Reply(NamedTuple):
     """What one peer answers."""
 
-    data: bytes  # a byte too many where it has more than asked for
+    data: bytes  # one byte longer than allowed if the answer was too long
     attachment: bytes
-    error: str | None = None  # in place of both
+    error: str | None = None  # if set, there is no data and no attachment
     at: float = 0.0  # s, monotonic, when it came
 
 
@@ -63,7 +63,7 @@ class Questions:
             raise ReaderError("not connected to the Zenoh network yet")
         replies: list[Reply] = []
         future: Future[list[Reply]] = Future()
-        future.set_running_or_notify_cancel()  # who no longer waits cancels nothing
+        future.set_running_or_notify_cancel()  # a client that stops waiting cannot cancel it
 
         def take(reply: "zenoh.Reply") -> None:
             if len(replies) < MAX_REPLIES:

@@ -7,17 +7,17 @@ from collections import deque
 
 from tactiled.interop.zenoh.sensor import Line
 
-MAX_NAMES, MAX_SESSIONS = 64, 4  # of a robot's sensors; of publishers of one name
+MAX_NAMES, MAX_SESSIONS = 64, 4  # sensors of a robot; publishers of one sensor
 MESSAGES_HZ = 20_000.0  # of 64 sensors with three images each at 100 Hz
 BYTES_HZ = 128e6
 EVENTS, EVENTS_HZ = 50, 0.5  # at once, and from then on
 DESCRIBED_S = 30.0  # a robot that answers is described within this time
-QUIET_S = 60.0  # without a refusal, after which the next one is an event again
+QUIET_S = 60.0  # after the last refusal: the next one is an event again
 MAX_ASKING = 4  # descriptions of a robot's sensors that are waited for
 
 
 class Budget:
-    """So much at once, and from then on so much a second."""
+    """A token bucket: `burst` at once, then `rate_hz` a second."""
 
     def __init__(self, rate_hz: float, burst: float) -> None:
         self._rate_hz, self._burst, self._level, self._at = rate_hz, burst, burst, 0.0
@@ -40,7 +40,7 @@ class Robot:
         self.lines: dict[str, Line] = {}
         self.events, self.conflicts = Budget(EVENTS_HZ, EVENTS), Budget(1 / QUIET_S, MAX_SESSIONS)
         self.inbox: deque[bytes] = deque(maxlen=EVENTS)  # its events that are not read yet
-        self.asking = 0  # descriptions
+        self.asking = 0  # descriptions that are waited for
         self.building = asyncio.Lock()  # one of its sensors at a time
         self.pieces = 0  # of its sensors' cells
         self.history_bytes = 0
