@@ -309,7 +309,6 @@ def lines(results: Results) -> list[tuple[str, str, str]]:
 
 
 def _way_lines(way: str, trials: list[Trial]) -> Iterator[tuple[str, str, str]]:
-    """The lines on one way to fit a cover."""
     decided = [each for each in trials if isfinite(each.error)]
     sizes = np.abs([each.error for each in decided] or [np.nan])
     within, covered = sum(sizes <= AIMS[way]), sum(each.covered for each in decided)

@@ -69,7 +69,8 @@ def cover(
             from tactiled.charts.calibration import draw_cover  # matplotlib takes a second
 
             draw_cover(plot, fit, recorded.stack)
-    section = _section(fit if measured else replace(fit, kernel=None), recorded.stack, file)
+    kept = fit if measured else replace(fit, kernel=None)
+    section = CoverSection.of(kept, recorded.stack, made_from(file, f"cover: {fit.method}"))
     typer.echo("\n".join([f"{name}: cover by {fit.method}", *_lines(fit, recorded.stack, measured)]))
     if fit.objection and not (doubtful or section.kernel):
         raise ConfigError(f"cover: {fit.objection}; nothing is written (--doubtful writes it)")
@@ -87,15 +88,18 @@ def _way(tip: bool, edge: bool, blind: bool) -> Method:
 def _recorded(
     file: Path, config: Path, sensor: str | None, out: Path
 ) -> tuple[RecordedTouch, str, schema.Sensor, CalibrationFile | None]:
-    """The recording; its sensor's name and configuration, and the other sections of its calibration file."""
+    """The recording; its sensor's name and configuration, and the other sections of its calibration file.
+
+    That is the one to bring up to date, else the configured one: the fit uses its gain and no load.
+    """
     settings, name, one = options.one_sensor(config, sensor)
-    before, stack = _other_sections(out, name, one), make_stack(one)
+    before, path = calibration_file.load(out), out
+    if before is None and one.calibration.file is not None:
+        before, path = configured_file(one), one.calibration.file
+    before = before and matching(path, before.model_copy(update={"cover": None}), name, one)
     series, ends = read_frame_series(file, name, settings), make_codec(one).ends
-    return RecordedTouch(series, make_array(one), stack, make_calibration(one, before), ends), name, one, before
-
-
-def _section(fit: CoverFit, stack: Stack, file: Path) -> CoverSection:
-    return CoverSection.of(fit, stack, made_from(file, f"cover: {fit.method}"))
+    calibration = make_calibration(one, before)
+    return RecordedTouch(series, make_array(one), make_stack(one), calibration, ends), name, one, before
 
 
 def _size(tip_mm: float | None, edge_mm: float | None) -> float | None:
@@ -128,17 +132,6 @@ def _refuse(options: Mapping[str, object], reason: str) -> None:
     for name, value in options.items():
         if value:
             raise ConfigError(f"{name} {reason}")
-
-
-def _other_sections(out: Path, name: str, sensor: schema.Sensor) -> CalibrationFile | None:
-    """The calibration file to bring up to date, else the configured one, without its cover, which is fitted again.
-
-    The fit uses its gain and no load.
-    """
-    before, path = calibration_file.load(out), out
-    if before is None and sensor.calibration.file is not None:
-        before, path = configured_file(sensor), sensor.calibration.file
-    return before and matching(path, before.model_copy(update={"cover": None}), name, sensor)
 
 
 def _places(path: Path) -> Floats:

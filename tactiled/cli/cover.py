@@ -70,7 +70,8 @@ def cover(
     base = Layer(sensor_thickness, sensor_young, sensor_poisson)
     stack = _stack(layer, base) if layer else Stack((Layer(thickness, young, poisson), base))
     stack, array = _configured(config, sensor) if config else (stack, grid(1, 1, pitch))
-    q, rise = None if at is None else _frequencies(at), _profile(profile or [])
+    points = [options.numbers("profile", each, "R,RISE in mm", 2) for each in profile or ()]
+    q, rise = None if at is None else _frequencies(at), Profile(*zip(*points, strict=True)) if points else None
     start, press = perf_counter(), None
 
     def late() -> bool:
@@ -131,12 +132,6 @@ def _stack(texts: list[str], base: Layer) -> Stack:
     layers = [Layer(*options.numbers("layer", text.removesuffix(",loose"), form, 3)) for text in texts]
     bonds = (*(not text.endswith(",loose") for text in texts), True)
     return Stack((*layers, base), sensing=len(layers), bonds=bonds)
-
-
-def _profile(texts: list[str]) -> Profile | None:
-    """The points of every --profile."""
-    points = [options.numbers("profile", text, "R,RISE in mm", 2) for text in texts]
-    return Profile(*zip(*points, strict=True)) if points else None
 
 
 def _record(kernel: Kernel, q: Floats, seconds: float, summary: CoverSummary) -> dict[str, Any]:

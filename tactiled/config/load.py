@@ -141,7 +141,6 @@ def _line(fault: ErrorDetails) -> str:
 
 
 def _place(loc: Sequence[int | str]) -> str:
-    """Dotted path."""
     parts = [f"[{part}]" if isinstance(part, int) else f".{part}" for part in loc]
     return "".join(parts).lstrip(".")
 
@@ -163,7 +162,6 @@ def _suggestion(*loc: int | str) -> str:
 
 
 def _keys() -> dict[str, set[str]]:
-    """The keys of every table."""
     codecs = {key.name for name in skins.BUILT_IN for key in fields(skins.load(name))}  # type: ignore[arg-type]
     return {name: {*table.model_fields} for name, table in TABLES.items()} | {"codec": {"name", *codecs}}
 

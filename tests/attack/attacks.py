@@ -43,20 +43,14 @@ async def flood(target, _, findings):
     findings.outcomes["messages"] += await asyncio.to_thread(_flood, target.bus_port)
 
 
-def _upgraded(ending):
-    return b" 101 " in ending.received
-
-
-def _unauthorized(ending):
-    return requests.closed_with(4401, ending)
-
-
 # Foxglove's SDK waits for a head without end, and has no limit of connections: its port is on loopback alone. What
 # must hold is that the service's own port goes on.
 UNBOUNDED = {"port": "foxglove", "ends": False}
 CLIENT = upgrade(sockets.PROTOCOL, path="/")
 LARGE = {"a message of 40 MB": [CLIENT, frame(BINARY, bytes(40 << 20))]}
 ACCEPTED = {name: [upgrade(token=CONTROL), frame(PONG, b"x") + data] for name, data in sockets.FRAMES.items()}
+UPGRADED = {"pause_s": 0.5, "expect": lambda ending: b" 101 " in ending.received}
+UNAUTHORIZED = {"wait_s": late_s("refused"), "expect": partial(requests.closed_with, 4401)}
 ATTACKS = {
     "upgrades": Attack(each(sockets.UPGRADES, 50), kind=DESCRIPTORS_256),
     "empty-frames": Attack(sockets.empty_frames, at_once=1),
@@ -65,8 +59,8 @@ ATTACKS = {
     "bad-upgrades": Attack(each(sockets.BAD_UPGRADES, 200, wait_s=1.0, ends=False), at_once=100),
     "slow": Attack(each(requests.SLOW_SENDERS, 50, pause_s=0.2)),
     "nonsense": Attack(requests.nonsense, at_once=50),
-    "frames": Attack(each(ACCEPTED, 5, pause_s=0.5, expect=_upgraded), at_once=50),
-    "handshakes": Attack(each(sockets.HANDSHAKES, 15, wait_s=late_s("refused"), expect=_unauthorized), at_once=50),
+    "frames": Attack(each(ACCEPTED, 5, **UPGRADED), at_once=50),
+    "handshakes": Attack(each(sockets.HANDSHAKES, 15, **UNAUTHORIZED), at_once=50),
     "tls": Attack(sockets.tls, kind=TLS, grown_mb=160),  # 0.3 MB for each connection that was open at once
     "foxglove": Attack(each(sockets.FOXGLOVE, 20, wait_s=4.0, **UNBOUNDED)),
     "foxglove-large": Attack(each(LARGE, 2, wait_s=4.0, **UNBOUNDED), grown_mb=128),

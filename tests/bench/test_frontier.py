@@ -5,12 +5,11 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from tactiled.bench import peers
 from tactiled.bench.frontier import Effort, Mark, Panel, floor, lines, panel, verdict
 from tactiled.bench.skin import clips, nrmse, rubber
-from tactiled.cli.app import app
+from tests.cli.commands import succeed
 
 TINY = Effort(covers=(1.0,), noises=(0.02,), size=12, frames=2, rounds=1, peer_rounds=1, stops=(3,))
 
@@ -80,9 +79,7 @@ def test_the_bound_of_linear_filters_falls_with_the_noise(skin):
 
 def test_command_writes_chart_table_and_summary(tmp_path, monkeypatch):
     monkeypatch.setattr("tactiled.bench.frontier.REDUCED", TINY)
-    done = CliRunner().invoke(app, ["bench", "frontier", "--quick", "--out", str(tmp_path / "new")])
-    assert done.exit_code == 0, done.output
-    assert "Seed 1" in done.output
+    assert "Seed 1" in succeed("bench", "frontier", "--quick", "--out", tmp_path / "new")
     rows = list(csv.DictReader((tmp_path / "new/frontier.csv").read_text().splitlines()))
     summary = json.loads((tmp_path / "new/frontier.json").read_text())
     assert [row["method"] for row in rows] == [mark["method"] for mark in summary["panels"][0]["marks"]]

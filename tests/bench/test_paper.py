@@ -3,13 +3,12 @@ from xml.etree import ElementTree
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from tactiled.bench.paper import models, page
 from tactiled.bench.paper.figures import FIGURES
 from tactiled.bench.paper.statements import statements
-from tactiled.cli import app as cli
 from tactiled.errors import ConfigError
+from tests.cli.commands import succeed
 
 
 @pytest.fixture(scope="module")
@@ -74,8 +73,7 @@ def test_a_spread_load_is_still_the_whole_load_and_filters_more():
 def test_command_writes_a_page_with_every_statement_and_figure(tmp_path, compared, monkeypatch):
     monkeypatch.setattr(page, "statements", lambda: compared)
     folder = tmp_path / "new" / "folder"
-    result = CliRunner().invoke(cli.app, ["paper", str(folder)])
-    assert (result.exit_code, result.output.strip()) == (0, str(folder / "index.html")), result.output
+    assert succeed("paper", folder).strip() == str(folder / "index.html")
     for name, *_ in FIGURES:
         data = (folder / name).read_bytes()
         assert len(data) > 10_000

@@ -1,10 +1,9 @@
 import numpy as np
-from typer.testing import CliRunner
 
 from tactiled.bench.picard import analyse
 from tactiled.bench.skin import rubber
-from tactiled.cli.app import app
 from tactiled.config.example import GRASP
+from tests.cli.commands import succeed
 
 
 def test_less_noise_and_a_thinner_cover_show_more_modes():
@@ -19,8 +18,6 @@ def test_less_noise_and_a_thinner_cover_show_more_modes():
 
 def test_command_draws_a_configured_skin(tmp_path):
     (tmp_path / "it.toml").write_text(GRASP)
-    arguments = ["bench", "picard", "--config", str(tmp_path / "it.toml"), "--out", str(tmp_path / "new")]
-    done = CliRunner().invoke(app, arguments)
-    assert done.exit_code == 0, done.output
-    assert "of 60 modes" in done.output
+    output = succeed("bench", "picard", "--config", tmp_path / "it.toml", "--out", tmp_path / "new")
+    assert "of 60 modes" in output
     assert (tmp_path / "new/picard.svg").exists()

@@ -1,12 +1,10 @@
 import re
 
-from typer.testing import CliRunner
-
 from tactiled.bench import page
 from tactiled.bench.faults import SWEEPS, Setting
 from tactiled.bench.frontier import Effort
 from tactiled.bench.skin import rubber
-from tactiled.cli.app import app
+from tests.cli.commands import succeed
 
 
 def test_the_page_holds_every_chart_and_table_and_needs_nothing_else(tmp_path, monkeypatch):
@@ -16,9 +14,7 @@ def test_the_page_holds_every_chart_and_table_and_needs_nothing_else(tmp_path, m
     monkeypatch.setattr("tactiled.bench.frontier.REDUCED", tiny)
     setting = Setting(rubber(1.5, 12), 1, ("punches",), step=20)
     monkeypatch.setattr("tactiled.bench.stability.setting", lambda *_: setting)
-    done = CliRunner().invoke(app, ["bench", "report", "--quick", "--out", str(tmp_path)])
-    assert done.exit_code == 0, done.output
-    assert done.output.strip().endswith("index.html")
+    assert succeed("bench", "report", "--quick", "--out", tmp_path).strip().endswith("index.html")
     html = (tmp_path / "index.html").read_text()
     assert html.count("<svg") == html.count("</svg>") == 4
     assert not re.search(r'(?:src|href)="(?!#)(?!http://www\.w3\.org)[^"]*//', html)

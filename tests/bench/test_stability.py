@@ -3,14 +3,13 @@ import json
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
 from tactiled.bench import stability
 from tactiled.bench.faults import SWEEPS, Setting, cases, sweeps
 from tactiled.bench.skin import configured, rubber
 from tactiled.bench.stability import Row, breaks, curve, lines, restore, verdict
-from tactiled.cli.app import app
 from tactiled.config.example import GRASP
+from tests.cli.commands import succeed
 
 SETTING = Setting(rubber(1.5, 12), 1, ("punches",))
 SWEEP = {sweep.name: sweep for sweep in SWEEPS}
@@ -127,12 +126,11 @@ def test_command_writes_charts_and_tables(tmp_path, monkeypatch):
     monkeypatch.setattr("tactiled.bench.faults.SWEEPS", tuple(SWEEP[name] for name in ("cover", "offset")))
     setting = Setting(SETTING.skin, 1, SETTING.scenes, step=8)
     monkeypatch.setattr(stability, "setting", lambda *_: setting)
-    done = CliRunner().invoke(app, ["bench", "stability", "--quick", "--out", str(tmp_path)])
-    assert done.exit_code == 0, done.output
+    output = succeed("bench", "stability", "--quick", "--out", tmp_path)
     for name in ("stability.svg", "calibration.svg"):
         assert (tmp_path / name).read_text().startswith("<?xml")
-    assert "│ offset (% of the" in done.output
-    assert max(len(line) for line in done.output.splitlines() if "│" in line) <= 80
+    assert "│ offset (% of the" in output
+    assert max(len(line) for line in output.splitlines() if "│" in line) <= 80
     images = list(csv.DictReader((tmp_path / "stability.csv").read_text().splitlines()))
     assert {each["method"] for each in images} == {"raw", *stability.OURS, *stability.PEERS}
     assert len(json.loads((tmp_path / "stability.json").read_text())["table"]) == 2

@@ -17,16 +17,11 @@ def pad(skin, period, angle):
     return (np.hypot(x, y) < 8) * (1 + 0.9 * np.sin(2 * np.pi * u / period))
 
 
-def wrong_gains(clean, random):
-    return clean * (1 + 0.05 * random.normal(size=clean.shape))
-
-
-def row_noise(clean, random):
-    return clean + 0.05 * clean.max() * random.normal(size=(SIDE, 1))
-
-
-def column_noise(clean, random):
-    return clean + 0.05 * clean.max() * random.normal(size=(1, SIDE))
+FAULTS = {
+    "wrong gains": lambda clean, random: clean * (1 + 0.05 * random.normal(size=clean.shape)),
+    "row noise": lambda clean, random: clean + 0.05 * clean.max() * random.normal(size=(SIDE, 1)),
+    "column noise": lambda clean, random: clean + 0.05 * clean.max() * random.normal(size=(1, SIDE)),
+}
 
 
 def error(method, periods, fault=lambda clean, _: clean):
@@ -48,7 +43,7 @@ def test_ridges_that_the_spectrum_takes_for_noise_are_restored(monkeypatch, meth
     assert with_bands < 0.9 * error(method, (2.2, 2.8, 3.4))
 
 
-@pytest.mark.parametrize("fault", [wrong_gains, row_noise, column_noise])
+@pytest.mark.parametrize("fault", FAULTS.values(), ids=FAULTS)
 def test_faults_that_raise_many_modes_are_no_texture(monkeypatch, fault):
     with_bands = error("wiener", (100.0,), fault)
     monkeypatch.setattr(NarrowBand, "__call__", lambda *_: False)

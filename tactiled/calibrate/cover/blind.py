@@ -339,6 +339,5 @@ def _narrow(profiles: Profiles, at: int) -> str:
 
 
 def _undecided(family: CoverFamily, reason: str) -> CoverFit:
-    """A fit that tells nothing."""
     depth, ends = family.configured.depth, (float(np.exp(LOG_FACTORS[0])), float(np.exp(LOG_FACTORS[-1])))
     return CoverFit("blind", 1.0, ends, depth, (ends[0] * depth, ends[1] * depth), 0, reason=reason)

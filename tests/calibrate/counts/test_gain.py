@@ -182,10 +182,6 @@ def test_half_of_the_taxels_may_be_missing():
     assert fit.dead == tuple(range(40))
 
 
-def noise_alone(counts):
-    return np.random.default_rng(0).normal(500, 30, counts.shape)
-
-
 def hand_at_the_start(counts):
     counts[:300, :9] += 600
     return counts
@@ -193,7 +189,7 @@ def hand_at_the_start(counts):
 
 BAD = {
     "other steps": (None, (0, 10, 20, 0), "4 pressures are given, and the recording holds 13, at"),
-    "noise": (noise_alone, STEPS, "no press above the noise"),
+    "noise": (lambda c: np.random.default_rng(0).normal(500, 30, c.shape), STEPS, "no press above the noise"),
     "loaded start": (hand_at_the_start, STEPS, "the recording starts loaded: "),
     "saturated": (lambda counts: np.minimum(counts, 1500), STEPS, "readings under load are saturated"),
     "order": (None, (0, 5, 15, 30, 40, 60, 50, 60, 40, 30, 15, 5, 0), "from 60 to 50 kPa the readings rise"),

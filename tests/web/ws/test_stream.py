@@ -97,10 +97,6 @@ def test_the_rate_is_kept_and_a_late_image_delays_no_other():
     assert np.diff(paced([1000, 1000.01, 1000.02], 1)) == pytest.approx([0.98, 1])
 
 
-def is_status_of(method):
-    return lambda message: message["type"] == "status" and message["ran"] == method
-
-
 @pytest.mark.parametrize("query", ["?kinds=restored&rate_hz=7", "?contacts=1", ""])
 def test_what_a_limit_delays_is_sent_when_it_is_due_though_nothing_else_happens(rig, monkeypatch, query):
     monkeypatch.setattr(feed, "TICK_S", 10 * BUSY_S)
@@ -114,7 +110,7 @@ def test_what_a_limit_delays_is_sent_when_it_is_due_though_nothing_else_happens(
             elif query:
                 assert text_of(client, "contacts")["sequence"] == sequence
             else:
-                text(client, is_status_of(method))
+                text(client, lambda message, own=method: (message["type"], message.get("ran")) == ("status", own))
 
 
 def test_a_stream_of_contacts_rests_while_no_image_comes(rig, url, monkeypatch):
