@@ -3,7 +3,7 @@
 import logging
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
-from functools import partial
+from time import monotonic
 
 import numpy as np
 
@@ -94,14 +94,26 @@ class SensorPlan:
 def sensor_plans(config: schema.Config, report: Report = lambda _: None) -> tuple[SensorPlan, ...]:
     """Plan every sensor; a TactileError names the sensor, or the two that want the same messages of a bus.
 
-    `report` gets a line before each whose cover must be solved, as that may take seconds.
+    `report` gets a line before and after each whose cover must be solved, as that may take seconds.
     """
     plans: list[SensorPlan] = []
     for name, sensor in config.sensor.items():
-        text = f"{name}: solving the cover ({len(plans) + 1} of {len(config.sensor)})"
-        plans.append(sensor_plan(name, sensor, solving=partial(report, text)))
+        plans.append(_reported(name, sensor, f"{len(plans) + 1} of {len(config.sensor)}", report))
     check_buses(config, plans)
     return tuple(plans)
+
+
+def _reported(name: str, sensor: schema.Sensor, place: str, report: Report) -> SensorPlan:
+    began: list[float] = []
+
+    def solving() -> None:
+        report(f"{name}: solving the cover ({place})")
+        began.append(monotonic())
+
+    plan = sensor_plan(name, sensor, solving=solving)
+    if began:
+        report(f"{name}: cover solved in {monotonic() - began[0]:.1f} s")
+    return plan
 
 
 def check_buses(config: schema.Config, plans: Iterable[SensorPlan]) -> None:

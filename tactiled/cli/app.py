@@ -16,7 +16,7 @@ from tactiled.cli.verbs import BenchVerbs, CalibrateVerbs, Verbs
 from tactiled.errors import TactileError
 
 EXIT_REFUSED, EXIT_INTERRUPTED = 2, 130
-STOP_SIGNALS = signal.SIGINT, signal.SIGTERM
+STOP_SIGNALS = signal.SIGINT, signal.SIGTERM, signal.SIGHUP  # the last comes when a terminal is closed
 SERVICES = {"run", "demo", "replay", "serve"}
 
 app = typer.Typer(
@@ -51,15 +51,16 @@ def tactiled(
 
 
 def main() -> None:
-    """Run the command line; SIGTERM ends it as Ctrl-C does, so that temporary files are removed.
+    """Run the command line; SIGTERM and a closed terminal end it as Ctrl-C does: temporary files are removed.
 
     A service that is stopped before it runs ends as one that runs: with exit code 0.
     """
     if SERVICES.intersection(sys.argv[1:2]):
-        for each in STOP_SIGNALS:
+        for each in _stop_signals():
             signal.signal(each, lambda *_: sys.exit())
     else:
-        signal.signal(signal.SIGTERM, _interrupt)
+        for each in _stop_signals()[1:]:  # Ctrl-C does it by itself
+            signal.signal(each, _interrupt)
     gc.disable()  # imports leave no garbage; `Verbs` enables it again
     completion_init()  # answers shells that ask by the environment
     try:
@@ -75,8 +76,13 @@ def main() -> None:
         raise
 
 
+def _stop_signals() -> list[signal.Signals]:
+    """Those that end this process: `nohup` has it ignore SIGHUP."""
+    return [each for each in STOP_SIGNALS if each != signal.SIGHUP or signal.getsignal(each) != signal.SIG_IGN]
+
+
 def _interrupt(*_: object) -> None:
-    for each in STOP_SIGNALS:  # a second one would end the cleaning up
+    for each in _stop_signals():  # a second one would end the cleaning up
         signal.signal(each, signal.SIG_IGN)
     raise KeyboardInterrupt
 
@@ -94,14 +100,14 @@ def handled(handler: Callable[..., object], *signals: signal.Signals) -> Iterato
 
 @contextmanager
 def interrupted() -> Iterator[Event]:
-    """An event that Ctrl-C and SIGTERM set, so that they end a run between two frames."""
+    """An event that what ends a command sets, so that it ends a run between two frames."""
     stop = Event()
-    with handled(lambda *_: stop.set(), *STOP_SIGNALS):
+    with handled(lambda *_: stop.set(), *_stop_signals()):
         yield stop
 
 
 @contextmanager
 def stoppable() -> Iterator[None]:
-    """A block that Ctrl-C and SIGTERM end alike, which is no failure."""
-    with handled(_interrupt, *STOP_SIGNALS), suppress(KeyboardInterrupt):
+    """A block that Ctrl-C, SIGTERM and a closed terminal end alike, which is no failure."""
+    with handled(_interrupt, *_stop_signals()), suppress(KeyboardInterrupt):
         yield
