@@ -59,9 +59,9 @@ def enough(count: int, zones: NDArray[np.int64], need: Need) -> bool:
 def advice(count: int, zones: NDArray[np.int64], need: Need) -> str:
     """Progress in one line, such as "12 of 20 presses; enough in the middle, none at the left border"."""
     plural = need.unit + ("es" if need.unit.endswith("s") else "s")
-    begin = f"{count} of {need.count} {plural}"
     if enough(count, zones, need):
-        return f"{begin}: enough"
+        return f"{count} {plural}: enough"
+    begin = f"{count} of {need.count} {plural}"
     missing = [
         (int(zones[at]), ZONES[at[0]][at[1]]) for at in np.ndindex(zones.shape) if zones[at] < need.per_zone
     ]

@@ -28,7 +28,7 @@ def test_every_place_counts_in_its_zone_and_beside_the_array_in_the_nearest():
     ("count", "where", "text"),
     [
         (0, np.zeros((3, 3), int), "0 of 20 presses"),
-        (20, FULL, "20 of 20 presses: enough"),
+        (20, FULL, "20 presses: enough"),
         (12, FULL, "12 of 20 presses"),
         (12, zones(left=0), "12 of 20 presses; enough in the middle, none at the left border"),
         (21, zones(left=1, middle=0), "21 of 20 presses; none in the middle, 1 at the left border"),

@@ -70,7 +70,9 @@ def test_a_region_is_drawn_named_measured_and_deleted(rig, url, open_page):
     page.get_by_role("button", name="heel").click()
     page.wait("document.getElementById('region-peak').textContent.endsWith('kPa')")
     link = page.locator("#region-csv").get_attribute("href")
-    assert ask("GET", url + link).text.startswith("# sensor: palm\n# region: heel\ntime_s,force_N")
+    assert ask("GET", url + link).text.startswith(
+        "# sensor: palm\n# region: heel\n# time_s: Unix time\ntime_s,force_N"
+    )
     for size in ({"width": 1280, "height": 860}, PHONE):
         page.resize(**size)
         assert page.violations() == []

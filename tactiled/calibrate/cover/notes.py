@@ -33,11 +33,11 @@ def unknown_notes(joint: Joint) -> tuple[str, ...]:
         return ()
     shares = sorted(((joint.share(at), at) for at in words), reverse=True)
     parts = [
-        f"{words[at].name} by {100 * (1 - max(1 - share, 0) ** 0.5):.0f} %"
+        f"{words[at].name} ({100 * (1 - max(1 - share, 0) ** 0.5):.0f} % narrower)"
         for number, (share, at) in enumerate(shares)
         if not number or share > NOTED
     ]
-    counts = f"measure first what, known exactly, narrows the interval most: {', '.join(parts)}"
+    counts = f"to narrow the interval, measure exactly: {', '.join(parts)}"
     if joint.misfit > MAX_MISFIT:
         return (counts,)
     is_size_unknown = isinstance(joint.touch, TipTouch) and joint.touch.tip.diameter_mm is None

@@ -133,7 +133,7 @@ def series(
     """Force, mean, peak and contact area of a region, image by image."""
     kept = watched(sensor, region).series(seconds, points)
     if form == "csv":
-        head = f"# sensor: {sensor.name}\n# region: {region}\n"
+        head = f"# sensor: {sensor.name}\n# region: {region}\n# time_s: Unix time\n"
         return Response(head + _csv(kept), media_type="text/csv")
     columns = dict(zip(Measures._fields, kept.values.T.tolist(), strict=True))
     lists = {"time": kept.time.tolist(), "missing": kept.missing.tolist()}

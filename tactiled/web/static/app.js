@@ -98,7 +98,7 @@ function writeAddress() {
   if (!wall.open && !viewer.session) return; // the address says more than is known yet
   const query = new URLSearchParams(viewer.view.address(viewer.unit));
   playback.addTo(query);
-  const hash = wall.open ? WALL + viewer.view.wallAddress : `#${encodeURIComponent(viewer.name)}${query.size ? `?${query}` : ""}`;
+  const hash = wall.open ? WALL + viewer.view.wallAddress : `#${encodeURIComponent(viewer.name)}${query.size ? `?${String(query).replaceAll("%3A", ":")}` : ""}`;
   if (hash === location.hash) return;
   try {
     window.history.replaceState(null, "", hash);

@@ -112,7 +112,7 @@ def test_a_wrong_aperture_is_held_by_the_interval_named_and_made_up_for():
     assert fit.interval[0] < factor < fit.interval[1]
     assert fit.thickness_error < (fit.interval[1] - fit.interval[0]) / (2 * 1.96 * fit.factor)
     assert any(each.startswith("the presses look like those on an aperture of 0.") for each in fit.notes)
-    assert any("narrows the interval most: the aperture by " in each for each in fit.notes)
+    assert any("to narrow the interval, measure exactly: the aperture (" in each for each in fit.notes)
     assert fit.objection == ""
 
 
@@ -125,7 +125,7 @@ def test_what_is_exactly_known_does_not_count_and_the_first_to_measure_narrows_a
     ]
     usual, known, least = (fit.interval[1] - fit.interval[0] for fit in fits)
     assert least < 0.6 * usual
-    ((name, percent),) = re.findall(r"narrows the interval most: ([a-z ]+) by (\d+) %", fits[0].notes[0])
+    ((name, percent),) = re.findall(r"measure exactly: ([a-z ]+) \((\d+) % narrower\)", fits[0].notes[0])
     assert name == "the aperture"
     assert 1 - known / usual == pytest.approx(int(percent) / 100, abs=0.05)
     assert "aperture" not in " ".join(fits[1].notes)

@@ -24,10 +24,10 @@ def test_a_region_is_watched_measured_and_removed(rig, client, url):
     series = client.get("/sensors/palm/regions/heel/series").json()
     assert series["peak"][0] == pytest.approx(inside[0].max())
     lines = client.get("/sensors/palm/regions/heel/series?format=csv").text.splitlines()
-    assert lines[:2] == ["# sensor: palm", "# region: heel"]
-    assert lines[2] == "time_s,force_N,mean_kPa,peak_kPa,area_mm2,missing_taxels"
-    assert lines[3].endswith(",0")
-    assert len(lines) == 3 + len(series["time"])
+    assert lines[:3] == ["# sensor: palm", "# region: heel", "# time_s: Unix time"]
+    assert lines[3] == "time_s,force_N,mean_kPa,peak_kPa,area_mm2,missing_taxels"
+    assert lines[4].endswith(",0")
+    assert len(lines) == 4 + len(series["time"])
     refused = client.get("/sensors/palm/regions/heel/series?format=xml")
     assert "should be 'json' or 'csv'" in problem(refused, 422)
     metrics = ask("GET", f"{url}/metrics").text

@@ -99,8 +99,8 @@ const MADE_OF = { tip: "presses", edge: "edges", blind: "frames", uniform: "", w
 /** @param {CoverResult} cover @param {Way} way @returns {string[]} */
 export function coverNotes({ presses, residual, reason, notes }, way) {
   if (reason) return notes;
-  const check = residual === null ? "" : `, and predicts ${MADE_OF[way]} left out to ${number(residual, 2)} × noise and gain errors`;
-  return [`Made of ${presses} ${MADE_OF[way]}${check}.`, ...notes];
+  const check = residual === null ? "" : ` It misses ${MADE_OF[way]} left out of it by ${number(residual, 2)} times what noise and gain errors explain.`;
+  return [`Fitted to ${presses} ${MADE_OF[way]}.${check}`, ...notes];
 }
 
 /** @param {number|null} age s @returns {string} */

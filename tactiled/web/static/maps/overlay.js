@@ -32,6 +32,7 @@ const OUTLINE_DEVIATIONS = 2; // standard deviations from the centre of a contac
 const CROSS_PX = 4; // CSS px, half of a centre's cross
 const MIN_AXIS_PX = 6; // CSS px, the least half axis of an outline
 const TEXT_PX = 12; // CSS px
+const LINE_END_PX = 10; // CSS px, that is drawn of the cross-section's line at either side
 
 export class Overlay {
   /** @param {HTMLCanvasElement} canvas */
@@ -258,13 +259,17 @@ export class Overlay {
     this._twoTone(1.5);
   }
 
-  /** @param {Marks} marks @param {Plane} plane */
-  _line({ along, lineAt }, plane) {
+  /** Draw the cross-section's line, without a probe its ends alone: nobody asked for it. @param {Marks} marks @param {Plane} plane */
+  _line({ along, lineAt, probeX }, plane) {
     const draw = this._pen;
     const at = (lineAt - plane.start(ACROSS[along])) * this._px;
+    const long = along === "x" ? this.canvas.width : this.canvas.height;
+    const end = Number.isFinite(probeX) ? long / 2 : LINE_END_PX * this._ratio;
     draw.beginPath();
-    draw.moveTo(along === "x" ? 0 : at, along === "x" ? at : 0);
-    draw.lineTo(along === "x" ? this.canvas.width : at, along === "x" ? at : this.canvas.height);
+    for (const [from, to] of [[0, end], [long - end, long]]) {
+      draw.moveTo(along === "x" ? from : at, along === "x" ? at : from);
+      draw.lineTo(along === "x" ? to : at, along === "x" ? at : to);
+    }
     this._twoTone(1, "rgb(0 0 0 / 35%)", "rgb(255 255 255 / 65%)");
   }
 

@@ -275,7 +275,7 @@ export class Regions {
     if (!region || byId("region-held").hidden) return;
     const unit = unitOf(region.unit);
     const { highest, impulse, pressure_time, since } = region;
-    setText(byId("region-since"), since === null ? "" : `since ${new Date(1000 * since).toLocaleTimeString([], { hour12: false })}`);
+    setText(byId("region-since"), since === null ? "" : `Since ${new Date(1000 * since).toLocaleTimeString([], { hour12: false })}`);
     const texts = highest?.force == null || highest.peak == null ? ["–", "–", "–", "–"] : [
       forceText(highest.force, unit), pressureText(highest.peak, unit), `${forceText(impulse, unit)}·s`, `${pressureText(pressure_time, unit)}·s`,
     ];

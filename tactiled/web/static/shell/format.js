@@ -9,7 +9,7 @@ const BYTE_UNITS = ["B", "kB", "MB", "GB"];
  */
 export function number(value, digits = 3) {
   if (!Number.isFinite(value)) return "\u2013";
-  const size = Math.abs(value);
+  const size = Math.abs(value) / (1 - 0.5 * 10 ** -digits); // rounded up, 99.96 has three digits before the point
   const decimals = size === 0 ? digits - 1 : digits - 1 - Math.floor(Math.log10(size));
   return fixed(value, Math.max(0, Math.min(digits - 1, decimals)));
 }
@@ -25,10 +25,11 @@ export function fixed(value, decimals) {
   return Number(text) === 0 ? (0).toFixed(decimals) : text.replace("-", "\u2212");
 }
 
-/** @param {number} force N @returns {string} with three significant digits; without its unit */
+/** @param {number} force N @returns {string} with three significant digits, five decimals at most; without its unit */
 export function newtons(force) {
   const size = Math.abs(force);
-  return size < 1 && size >= 1e-6 ? force.toPrecision(3).replace("-", "\u2212") : number(force);
+  if (size < 1e-3 && size >= 5e-6) return fixed(force, 5);
+  return size < 1 && size >= 1e-3 ? force.toPrecision(3).replace("-", "\u2212") : number(force);
 }
 
 /** @param {number} value @returns {string} without decimals; from a million on with a power of ten, as 1.08e6 */
