@@ -84,7 +84,7 @@ class Server(Section):
     xela_host: str = "127.0.0.1"
     """Address of that port."""
     bridges: tuple[str, ...] = ()
-    """Names of [bridges](interop.md#a-bridge-of-your-own) of other packages that run, too."""
+    """Names of [bridges](interop.md#a-bridge-of-your-own) of other packages to run."""
     recordings: Path | None = None
     """Folder that clients may record the buses into; left out: they may not record."""
     recordings_leave_mb: Annotated[float, Bounds(0, 1e9, "MB")] = 1000.0
@@ -297,7 +297,7 @@ class Sensor(Section):
     """Restoration method."""
     budget_ms: Annotated[float, Bounds(0.01, 1000.0, "ms")] | None = None
     """Processor time for restoring a frame, after which its image is the best so far; left out: a tenth of the
-    time from frame to frame (0.4 of it divided by the sensors if there are more than four), 1 ms at most."""
+    frame period, or with more than four sensors 0.4 of it divided by their number; 1 ms at most."""
     refine: Annotated[int, Bounds(1, 8)] | None = None
     """Cells of the restored image along the distance between taxels; left out: 1 of a grid, else 2."""
     stale_after_s: Annotated[float, Bounds(0.001, 3600.0, "s")] = 0.5

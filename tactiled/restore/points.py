@@ -15,10 +15,10 @@ from tactiled.restore.point_image import MIN_PLACE_ERROR, MODEL_ERROR, PointImag
 from tactiled.restore.scene import Scene
 
 # Chosen on the scenes of `python -m tests.bench judge --family first` and on those that the network is trained on.
-MIN_SIDE = 3  # taxels a side that tell a place on it
-MIN_SENSITIVITY = 3.0 * MODEL_ERROR  # that a quarter of a pitch changes of a load's frame, or no place is known
-MAX_SPREAD_CELLS = 5.7  # that a point's pressure is spread over in an image of them
-LEARNED_SPREAD_CELLS = 3.5  # the same in the network's: of 35 fits to more spread none stood, of 197 to less 107
+MIN_SIDE = 3  # taxels a side: with fewer no place along it can be found
+MIN_SENSITIVITY = 3.0 * MODEL_ERROR  # of a load's frame: what a move by a quarter of a pitch must change at least
+MAX_SPREAD_CELLS = 5.7  # cells that a load's pressure may be spread over in the linear image
+LEARNED_SPREAD_CELLS = 3.5  # the same in the network's image: above it 0 of 35 fits held, below it 107 of 197
 MAX_REMAINDER = 0.05  # of the image's pressure: no more peaks are looked for once less remains
 MAX_OUTSIDE = 0.15  # of the image's pressure that may lie outside the neighbourhoods of its peaks
 TOUCHING = 3.5  # pitches between two peaks whose neighbourhoods touch
