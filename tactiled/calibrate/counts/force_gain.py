@@ -29,18 +29,18 @@ from tactiled.restore.blur import Blur
 from tactiled.restore.noise import NORMAL_95
 from tactiled.units import N_PER_KPA_MM2
 
-MAX_LOST_SHARE = 0.01  # of a load, that dead taxels, or the rim under an unknown cover, may hide
+MAX_LOST_SHARE = 0.01  # of a load that dead taxels, or the rim under an unknown cover, may miss
 MAX_BEYOND = 0.1  # of a load that the cover spreads beyond the array
 # Standard error of that share, relative to it: a thickness off by 20 % changes it by 40 to 70 %.
 BEYOND_ERROR = 0.5
-RIM_SIGMAS = 2.0  # of the rim's noise: so much is no load
+RIM_SIGMAS = 2.0  # noise standard deviations of the rim: less is no load
 MIN_PRESSED = 5  # points away from the border
-NEIGHBOURS = 4  # that a dead taxel is held against
+NEIGHBOURS = 4  # with which a taxel is compared to see whether it is dead
 DEAD_SLOPE = 0.05  # of a taxel's counts over its neighbours'
 CLEARLY_PRESSED = 0.2  # of the largest reading: where a taxel's neighbours read less, it may be beside the press
-NEED = 0.5  # of what a line leaves must be explained by a curve: the taxels' own gains look like one
-BETWEEN = 0.3, 0.6  # of the largest reading: more than no load, less than the weight
-WEIGHT_TOLERANCE = 0.1  # of the weight's reading, within which a plateau keeps
+NEED = 0.5  # share of a line's error that a curve must explain: taxels' own gains look like a curve
+BETWEEN = 0.3, 0.6  # of the largest reading: levels there are neither no load nor the weight
+WEIGHT_TOLERANCE = 0.1  # of the weight's reading: how far a plateau may vary
 SAME_PLACE = 0.5  # correlation of two loads' readings: they lie on the same taxels
 MIN_WEIGHT_HOLD = 0.05  # of the recording
 

@@ -14,11 +14,11 @@ from tactiled.frames import FrameSeries
 from tactiled.geometry import Array, tiling
 
 MIN_REVERSAL = 0.05  # of the largest pressure: less is no branch of its own
-MIN_BRANCHES = 3  # of which any two others show a rise and a fall
+MIN_BRANCHES = 3  # with three, the two that are left have a rise and a fall
 MIDDLE = 0.25, 0.75  # of the largest pressure, between which a curve is farthest from its ends
 CREEP_SHARE = 3**-0.5  # of a decade's creep: loads last a tenth to ten times as long as those of the calibration
 FIRST_S = 0.1  # after a step, from which its creep counts
-PATTERN_CHANCE = 1e-4  # that gains without a pattern seem to have one
+PATTERN_CHANCE = 1e-4  # probability that gains without a pattern seem to have one
 MIN_NOTED = 0.005  # relative: a smaller pattern or creep does no harm
 
 
@@ -38,8 +38,8 @@ def branches(pressure: Floats) -> NDArray[np.int64]:
 def left_out_error(measured: Points, bent: Points, end: Floats, form: Form) -> Floats:
     """Rms error (N,) in kPa of a rise or fall that was left out of the fit, within the others' counts.
 
-    NaN where there is one only: its error would not hold the hysteresis. The counts of `bent` are without it, by a
-    model; where one rise or fall alone is left, no model can be known, and those `measured` are taken.
+    NaN if there is only one, whose error would not contain the hysteresis. `bent` are points less a model of
+    hysteresis. If only one rise or fall is left, no such model can be fitted: then `measured` points are taken.
     """
     number = branches(measured.pressure)
     points = bent if number.max() >= MIN_BRANCHES else measured

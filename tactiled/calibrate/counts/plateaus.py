@@ -10,7 +10,7 @@ from tactiled.restore.noise import MAD_TO_SIGMA, bends
 
 START_FRAMES = 10  # whose median is the first guess of no load
 CLEAR_SIGMAS, CLEAR_SHARE = 4.0, 0.05  # of noise, and of the largest reading: less is not counted in a sum
-MAX_BINS = 1500  # of the signal: the search takes their square
+MAX_BINS = 1500  # of the signal: the search takes time with their square
 MERGED_TOLERANCES = 2.0  # by which two neighbouring plateaus differ, at least: less is creep
 TRIMMED = 0.15  # of a plateau's frames at each end: they may belong to the change of level
 

@@ -40,7 +40,7 @@ Skin = tuple[CoverFamily, Array]
 # Frames over noise, place of the one that counts, variance of their zero.
 ContactFrames = tuple[Images, int, float]
 
-MIN_OWN_NOISE = 0.25  # of a taxel's noise, that is not shared, at least
+MIN_OWN_NOISE = 0.25  # least share of a taxel's noise that is its own
 GAIN_ERROR = 0.01  # relative standard deviation of a taxel's gain, at least: cells explain no frame better
 LOG_FACTORS = np.linspace(-0.7, 0.7, 15)
 FINE_FACTORS = np.linspace(-0.7, 0.7, 561)
@@ -50,7 +50,7 @@ ITERATIONS = 40
 MIN_SCENES = 3
 MAX_NOISE = 0.005  # of the peak: at 0.8 % the thickness from most recordings of the tour was wrong by 25 to 60 %
 RESAMPLES = 400
-MAX_INTERVAL = 1.4  # of its upper over its lower end: more does not tell the thickness
+MAX_INTERVAL = 1.4  # upper over lower end: a wider interval is refused
 # Flat tips of half a pitch's radius (20 x 20 taxels, t/pitch 0.6 to 2.4, noise 0.2 % of the peak) gave covers 6
 # to 25 % too thin in intervals of a few per cent. They and those of one pitch have 9 to 15 such cells; those of
 # one and a half have 26 and more, and errors of 2 %.
@@ -61,9 +61,9 @@ GAIN_NOTE = "gains that are not calibrated may make thickness and interval wrong
 # Steepest rise of pressure that makes a scene sharp, as `_outlines` has it. In 64 recordings of 12 presses
 # (20 x 20 taxels, t/pitch 0.5 to 3) flat things had 0.31 to 0.5, fingers 0.16 to 0.33, balls of 2 pitches' radius
 # and more 0.24 to 0.34. Fingers are over 0.32 under three pitches of rubber alone, at most a quarter of them.
-SHARP, MIN_SHARP = 0.32, 0.3  # and the share of the scenes that are so, at least
+SHARP, MIN_SHARP = 0.32, 0.3  # and the least share of the scenes that are sharp
 OUTLINE_SLOPE = 6.0  # of the edges of simulated things, over those of smoothed pressure: no wider than a cell
-WEIGHT_SNR = 125.0  # w is the peak over the noise and this: with half and twice as much noise, the same error
+WEIGHT_SNR = 125.0  # w = peak / noise / WEIGHT_SNR; errors are the same with half and twice as much noise
 WEIGHT_ERROR = 0.35  # standard deviation of w's binary logarithm
 BIAS_ERROR = 0.35  # standard deviation of the correction, over it
 MODEL_ERROR = 0.015  # standard deviation of the thickness's logarithm that scenes do not show

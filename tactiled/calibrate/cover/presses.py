@@ -13,7 +13,7 @@ from tactiled.geometry import Array, tiling
 from tactiled.restore.noise import detection_threshold
 
 CHUNK_FRAMES = 2000  # of which running means are made at once: 16 MB
-SMOOTHED_FRAMES = 5  # whose mean is held against the noise
+SMOOTHED_FRAMES = 5  # whose mean is compared with the noise
 PLATEAU_LEVEL = 0.8  # of a press's high level: frames above it are its plateau
 STILL_PITCHES = 0.1  # largest motion of a contact; it makes a cover of half a pitch look 0.2 % thicker
 MIN_PLATEAU_FRAMES = 3
@@ -22,7 +22,7 @@ MAX_UNLOADED_FRAMES = 25  # on each side, whose mean is a press's zero
 SETTLING_FRAMES = 2  # beside a press, that are not part of its zero
 QUIET_FRACTION = 0.2  # of the highest peak: frames below it may be without a load, and their zero may drift
 DRIFT_FRAMES, MIN_DRIFT_FRAMES = 200, 10  # of which the quieter half makes one mean of the zero
-UNLOADED_FRACTION = 0.05  # of the frames: so many at least have the lowest total
+UNLOADED_FRACTION = 0.05  # of the frames: at least so many count as those with the lowest total
 MAX_OPEN_ANGLE = 2.5  # rad: a taxel without a neighbour over a wider angle is at the border
 NEIGHBOUR_PITCHES = 1.6
 

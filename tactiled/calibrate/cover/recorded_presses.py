@@ -17,7 +17,7 @@ from tactiled.restore.noise import estimate
 from tactiled.units import number_text
 
 UNCALIBRATED_SPREAD = 0.2  # relative standard deviation of uncalibrated gains
-SILENT = 0.1  # of what two opposite neighbours feel
+SILENT = 0.1  # of what two opposite neighbours feel: a taxel with less is dead
 CLEARLY_PRESSED = 0.2  # of a press's peak: what lies between two taxels that feel more is pressed, too
 NOISE_FRAMES = 2000  # of the middle of a recording, that its noise is measured from
 

@@ -13,7 +13,7 @@ DIFFERENCE_VARIANCE = 70.0  # of fourth differences, over that of the noise
 KNOWN_BLOCKS = 20  # before which noise is not judged
 MEDIAN_VARIANCE = 0.855  # median over mean of `Block.variance`: 2e5 blocks of white noise
 MAX_UNEVENNESS = 1.5  # longest over shortest period, above which a load that moves changes readings like noise
-REST_SIGMAS = 2.0  # of the noise, which the mean of a block strays from no load by if anything lies there
+REST_SIGMAS = 2.0  # of the noise: if a block's mean is further from no load, something lies there
 MIN_LEARNING = 0.05  # part by which a block changes the running noise; the n-th block 1 / n before that
 MIN_NOISE = 0.05  # steps: the running noise stays above it, so that it comes up again in seconds
 

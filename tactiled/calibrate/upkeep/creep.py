@@ -10,8 +10,8 @@ from tactiled.arrays import Floats32, Mask
 START_S = 30.0  # after a load came, its growth is measured: the exact start matters little by then
 SAMPLES_PER_DECADE = 20  # of time, so that each counts alike
 MIN_SAMPLES = 20
-MAX_CHANGE = 0.1  # of the pattern's strength that is not its own: another contact
-MAX_JUMP = 0.03  # from block to block: another load
+MAX_CHANGE = 0.1  # share of the load outside the first pattern: more is another contact
+MAX_JUMP = 0.03  # from block to block: more is another load
 SIGNIFICANT_ERRORS, SIGNIFICANT_PERCENT = 4.0, 0.5  # standard errors; in a decade of time
 
 
@@ -20,7 +20,7 @@ class Creep(NamedTuple):
 
     percent_per_decade: float  # of the load after START_S, for each tenfold time
     standard_error: float
-    seconds: float  # since the load lies
+    seconds: float  # since the load came
     taxels: int  # that it lies on
 
     @property

@@ -7,9 +7,9 @@ from tactiled.calibrate.upkeep.taxel_map import MapVerdict, check_map
 from tactiled.geometry import Array
 
 PERIOD_S = 0.1  # from one look at the load to the next, at least
-CHANGE = 0.2  # of the load's square, from the last frame that was taken: it has moved
+CHANGE = 0.2  # of the load's square since the last frame taken: with more the load has moved
 CLEAR_SIGMAS = 10.0  # noise standard deviations of a load
-WINDOW_FRAMES, NEW_FRAMES = 256, 64  # of a verdict, and how many of them the one before did not have
+WINDOW_FRAMES, NEW_FRAMES = 256, 64  # of a verdict, and how many of these must be new since the last one
 # With both, 104 healthy runs of 5 min of all scenes, t/pitch 0.5 to 3, 16 x 16 and 8 x 12, had no false alarm.
 # With 0.6, and unpressed neighbours compared, too, 30 of 312 had one.
 MIN_PRESSED = 0.5  # of the taxels: less, and a scene's own symmetry may look like a wrong map
