@@ -6,9 +6,10 @@ stream takes the newest image. A client that answered late, or has not answered 
 and the next frame after its answer.
 
 Python's `websockets` answers pings before the program has read what came before them. But it reads no further
-ahead than QUEUE WebSocket frames. So an image that nobody requested goes in as many frames as fill that queue
-within BEHIND_S at the rate at which images are sent: many for a slow client, one for a quick one. Where the images
-of one frame fill it together, their ping comes APART_S later.
+ahead than QUEUE WebSocket frames. So the images of a frame that nobody requested go in as many frames as fill that
+queue, unless they would be too many: the program may become slow at any time. A ping that comes with them is
+answered before the queue is found full. So its answer gets a second ping, to whose answer the next frame waits.
+A client far away, to which each way takes long, gets the images whole as long as it is quick.
 """
 
 import asyncio
@@ -16,7 +17,7 @@ import time
 from collections import deque
 from collections.abc import Sequence
 from math import ceil
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 from fastapi import WebSocket as AcceptedSocket
 from websockets.frames import Frame, Opcode
@@ -27,13 +28,22 @@ PING_EVERY = 4  # messages
 REQUESTED = 1 / 8  # a message that the client requested counts as so many: its next request says that it reads
 MAX_UNANSWERED = 2  # pings: at most PING_EVERY * MAX_UNANSWERED messages are on their way, and few more
 LATE_S = 0.1  # an answer after so long is late: the client is slow, or far away
+NEAR_S = 0.005  # the quickest answer of a client that is not far away
+ANSWERS = 16  # of the newest of which it is the quickest
 QUEUE = 16  # frames
-BEHIND_S = 0.2
-APART_S = 0.05  # from images that fill the queue to the ping behind them
+MAX_RATE_HZ = 4000.0  # of frames
 SHARE = 1 / 8  # of the newest period in the mean one
 CONTINUED, LAST = b"\x00\x00", b"\x80\x00"  # frames of a message, without data
 MARK = b"tactiled"  # of these pings
 PING = bytes((0x80 | Opcode.PING, len(MARK) + 8)) + MARK  # the frame of such a ping, but for its number
+
+
+class Ping(NamedTuple):
+    """One that is not answered yet."""
+
+    number: int
+    sent: float  # s, monotonic
+    again: bool  # another follows its answer
 
 
 def in_parts(frame: bytes, parts: int) -> bytes:
@@ -54,8 +64,10 @@ class PacedWebSocket(WebSocket):
         self._unpinged = 0.0  # messages since the newest ping
         self._sent_at, self._period_s = 0.0, 1.0  # of images that nobody requested
         self._pings = 0
-        self._unanswered: deque[float] = deque()  # when each of the last pings was sent
+        self._unanswered: deque[Ping] = deque()
+        self._most = MAX_UNANSWERED  # of them, at which the client does not keep up
         self._quick = False  # the last answer was not late
+        self._answers: deque[float] = deque(maxlen=ANSWERS)  # s, that the last ones took
         self._keeps_up = asyncio.Event()
         self._keeps_up.set()
 
@@ -76,33 +88,31 @@ class PacedWebSocket(WebSocket):
         self.need_open()
         self._unpinged += len(frames) * (REQUESTED if requested else 1)
         now, waiting = time.monotonic(), self._unanswered
-        self._quick = self._quick and not (waiting and now > waiting[0] + LATE_S)
+        self._quick = self._quick and not (waiting and now > waiting[0].sent + LATE_S)
         parts = self._parts(len(frames), now) if frames and requested is False else 1
-        frames = [in_parts(each, parts) for each in frames]
-        fills = parts * len(frames) > QUEUE
-        strict = requested is False and (fills or not self._quick)
-        self.transport.writelines(frames)
+        self.transport.writelines([in_parts(each, parts) for each in frames])
+        newest, fills = requested is False, parts * len(frames) > QUEUE
+        strict = newest and (fills or not self._quick)
         if strict or parts > 1 or self._unpinged >= PING_EVERY:
-            self._unpinged, self._pings = 0.0, self._pings + 1
-            waiting.append(now)
-            if strict or len(waiting) >= MAX_UNANSWERED:
+            self._unpinged = 0.0
+            self._ping(again=newest and fills)
+            self._most = 1 if strict else MAX_UNANSWERED
+            if len(waiting) >= self._most:
                 self._keeps_up.clear()
-            ping = PING + self._pings.to_bytes(8, "big")
-            if fills:  # a ping that came with the images would be answered before the queue is found full
-                asyncio.get_running_loop().call_later(APART_S, self._ping, ping)
-            else:
-                self.transport.write(ping)
 
-    def _ping(self, frame: bytes) -> None:
-        if not self.transport.is_closing():
-            self.transport.write(frame)
+    def _ping(self, again: bool) -> None:
+        self._pings += 1
+        self._unanswered.append(Ping(self._pings, time.monotonic(), again))
+        self.transport.write(PING + self._pings.to_bytes(8, "big"))
 
     def _parts(self, images: int, now: float) -> int:
         """In how many frames each of so many images goes now."""
         period = min((now - self._sent_at) / images, 1.0)
         self._sent_at = now
         self._period_s += SHARE * (period - self._period_s)
-        return min(ceil(QUEUE * self._period_s / BEHIND_S), QUEUE + 1)
+        if self._quick and min(self._answers, default=0.0) > NEAR_S:
+            return 1
+        return min(ceil(MAX_RATE_HZ * self._period_s), ceil((QUEUE + 1) / images))
 
     def handle_pong(self, event: Frame) -> None:
         """Take note of how far the client has read."""
@@ -110,10 +120,14 @@ class PacedWebSocket(WebSocket):
         if not data.startswith(MARK) or len(data) != len(MARK) + 8:
             super().handle_pong(event)
             return
-        left = max(0, self._pings - int.from_bytes(data[len(MARK) :], "big"))
-        while len(self._unanswered) > left:
-            self._quick = time.monotonic() < self._unanswered.popleft() + LATE_S
-        if len(self._unanswered) < (MAX_UNANSWERED if self._quick else 1):
+        number, waiting = int.from_bytes(data[len(MARK) :], "big"), self._unanswered
+        while waiting and waiting[0].number <= number:
+            ping = waiting.popleft()
+            self._answers.append(time.monotonic() - ping.sent)
+            self._quick = self._answers[-1] < LATE_S
+            if ping.again and not self.transport.is_closing():
+                self._ping(again=False)
+        if len(waiting) < (self._most if self._quick else 1):
             self._keeps_up.set()
 
     def connection_lost(self, exc: Exception | None) -> None:

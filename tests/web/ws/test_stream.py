@@ -160,7 +160,7 @@ def test_credit_gives_the_newest_image_once_and_at_most_two_ahead(rig, url):
 def test_a_ping_follows_every_few_messages_and_fewer_those_that_the_client_requests(rig, url, query, monkeypatch):
     frames, receive = [], ClientProtocol.recv_frame
     monkeypatch.setattr(ClientProtocol, "recv_frame", lambda own, each: (frames.append(each), receive(own, each)))
-    monkeypatch.setattr(pacing, "QUEUE", 0)  # no image goes in parts
+    monkeypatch.setattr(pacing, "MAX_RATE_HZ", 1.0)  # no image goes in parts
 
     def pings_follow():
         counts = Counter(each.opcode for each in frames if each.opcode is not Opcode.PING or MARK in each.data)
@@ -200,24 +200,24 @@ def test_a_slow_client_gets_the_newest_frame_once_it_has_read_the_one_before(rig
 
 
 @pytest.mark.parametrize("kinds", [1, 2])
-def test_a_library_that_reads_ahead_and_answers_pings_has_the_images_of_one_frame(rig, url, kinds, monkeypatch):
-    monkeypatch.setattr(pacing, "SHARE", 0.0)  # the period stays 1 s
-    monkeypatch.setattr(pacing, "BEHIND_S", kinds * 0.9)  # 17 WebSocket frames an image, or 9
-    monkeypatch.setattr(pacing, "APART_S", 0.3)
+def test_a_library_that_reads_ahead_of_a_program_that_becomes_slow_has_one_frame(rig, url, kinds, monkeypatch):
+    monkeypatch.setattr(pacing, "MAX_RATE_HZ", 1e6)  # a frame fills the library's queue at any rate
     began = time.time()
-    sent, send = [], pacing.PacedWebSocket.send_frames
-    monkeypatch.setattr(
-        pacing.PacedWebSocket, "send_frames", lambda *args, **named: (send(*args, **named), sent.append(named))
-    )
     with stream(url, "?kinds=raw" if kinds == 1 else "") as client:
-        for at in range(5):
-            rig.show(pressed(at))
-            until(lambda: {"requested": False} in sent)
-        for at in (0, 4):
+
+        def read(at):
             got = images(client, kinds)
             assert began <= got[0].timestamp <= got[0].made_at <= time.time()
-            assert [each.sequence for each in got] == kinds * [at]
             np.testing.assert_allclose(got[0].values, (pressed(at) - NO_LOAD) * GAIN, atol=1e-4)
+            return {each.sequence for each in got}
+
+        for at in range(30):
+            rig.show(pressed(at % 6))
+            assert read(at % 6) == {at}
+        for at in range(6):
+            rig.show(pressed(at))
+            time.sleep(0.05)  # in which a library answers pings
+        assert (read(0), read(5)) == ({30}, {35})
 
 
 def unread(url):
