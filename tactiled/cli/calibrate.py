@@ -197,7 +197,7 @@ def _elsewhere(curves: Curves) -> str:
     """Error of another rise or fall of the pressure than those of the fit."""
     if curves.error_kpa is None or not np.isfinite(curves.error_kpa).any():
         return "unknown: raise the pressure of the whole array, and lower it"
-    return f"{_worst(curves.error_kpa, 'kPa rms')}, of a rise or fall left out: hysteresis is in it"
+    return f"{_worst(curves.error_kpa, 'kPa rms')}, in a rise or fall that was left out; hysteresis is in it"
 
 
 def _worst(values: np.ndarray, unit: str) -> str:

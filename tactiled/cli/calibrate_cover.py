@@ -158,7 +158,7 @@ def _lines(fit: CoverFit, stack: Stack, measured: bool) -> list[str]:
         "effective": f"{from_mm:.4g} to {to_mm:.4g} mm (95 %) restores with aperture and layers as configured",
         "factor": f"{fit.factor:.3f} ({change:+.1f} %)",
         "presses": f"{fit.presses} used",
-        "left out": f"presses left out of the fit miss by {fit.residual:.2f} of noise and gain errors",
+        "left out": f"presses left out of the fit miss by {fit.residual:.2f} times what noise and gains explain",
     }
     if fit.kernel is not None:
         kept = "" if measured else ", not kept: give --measured"

@@ -16,7 +16,7 @@ CLEAR = 2.5  # standard deviations from what was given, from which a note says s
 # w = 2 / thickness, of which covers pass half, they differ by 0.6 % where b is a fifth of the thickness.
 MAX_BLUR = 0.2
 NOTED = 0.25  # of the thickness's variance: what adds as much is named, too
-MADE_UP = "the thickness makes up for it, and restoration is right as they are"
+MADE_UP = "the thickness makes up for it, so keep the setting"
 
 
 class _Words(NamedTuple):
