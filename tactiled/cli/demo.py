@@ -30,7 +30,7 @@ from tactiled.frames import Message
 from tactiled.interop.bridges import configured
 from tactiled.live.events import Event as Happening
 from tactiled.live.service import Service
-from tactiled.simulate import Player, play
+from tactiled.simulate import SCENES, Player, play
 from tactiled.web.app import create
 from tactiled.web.server import serve
 
@@ -50,7 +50,8 @@ Source = Callable[[Reader, Event], object]
 
 def demo(
     scene: Annotated[
-        str | None, typer.Option(help="What touches the arrays: tour, or one scene; touch and sphere if left out.")
+        str | None,
+        typer.Option(help=f"What touches the arrays: tour, {', '.join(SCENES)}; left out: touch and sphere."),
     ] = None,
     record: Annotated[
         str | None,

@@ -67,6 +67,7 @@ def test_a_region_is_drawn_named_measured_and_deleted(rig, url, open_page):
     page.keep(lambda: rig.show(pressed(3, force=0)), "!document.querySelector('#regions tr.some')")
     assert not page.locator("#notice").is_visible()  # what it said holds no more
     page.keep(lambda: rig.show(pressed(3, force=3000)), "document.querySelector('#regions tr.some')")
+    assert not page.locator("#notice").is_visible()  # it has just been said
     page.get_by_role("button", name="heel").click()
     page.wait("document.getElementById('region-peak').textContent.endsWith('kPa')")
     link = page.locator("#region-csv").get_attribute("href")
@@ -80,8 +81,8 @@ def test_a_region_is_drawn_named_measured_and_deleted(rig, url, open_page):
         page.get_by_role("button", name=name, exact=True).click()
     page.wait("document.querySelectorAll('#regions tbody tr').length === 1")
     page.get_by_role("button", name="Rectangle").click()
-    active = "[...document.querySelectorAll('.draw [aria-pressed=true]')].map(each => each.innerText).join()"
-    assert page.evaluate(active) == "Rectangle"
+    active = "[...document.querySelectorAll('.draw [aria-pressed=true]')].map(each => each.id).join()"
+    assert page.evaluate(active) == "region-rectangle"
     page.press("Escape")
     assert page.evaluate(active) == ""
     page.resize(1280, 860)
@@ -116,6 +117,7 @@ def test_a_polygon_is_closed_by_touch_at_its_first_corner_or_by_a_button(rig, ur
     for close in (lambda: page.tap("#raw-frame", position={"x": 18, "y": 2}), button.tap):
         assert button.inner_text() == "Polygon"
         button.tap()
+        assert button.inner_text() == "Cancel"
         for x, y in ((0, 0), (0.5, 0), (0, 0.5)):
             page.tap("#raw-frame", position={"x": 3 + x * side, "y": 3 + y * side})
         page.wait("document.getElementById('region-polygon').innerText === 'Done'")

@@ -6,8 +6,8 @@ import { notice, withdraw } from "../shell/notice.js";
 /** @import { Heatmap } from "./heatmap.js" */
 
 const HINTS = {
-  rectangle: "Drag on a map, or click a cell. Esc ends.", ellipse: "Drag on a map, or click a cell. Esc ends.",
-  polygon: "Click the corners on a map; the first one again, or Enter, closes the polygon. Esc ends.",
+  rectangle: "Drag on a map, or click a cell.", ellipse: "Drag on a map, or click a cell.",
+  polygon: "Click the corners on a map; the first one again, or Enter, closes the polygon.",
 };
 const CLOSE_PX = 10; // from the first corner, where a click closes a polygon; a finger may be twice as far off
 

@@ -23,6 +23,7 @@ const POLL_MS = 250;
 const CHART_POINTS = 600;
 const HYSTERESIS = 0.1; // of the threshold, below which it is over where nobody says otherwise
 const MAX_GAP_S = 1; // between two values that the line joins, as in the service's integrals
+const QUIET_MS = 60_000; // after a notice of a threshold that is exceeded again and again
 const SHAPES = /** @type {Shape[]} */ (["rectangle", "ellipse", "polygon"]);
 
 export class Regions {
@@ -31,6 +32,8 @@ export class Regions {
     this._viewer = viewer;
     /** @type {Region[]} */
     this._regions = [];
+    /** @type {Map<string, number>} when a threshold was last told of, ms */
+    this._told = new Map();
     /** @type {{plane: Plane, shapes: string, cells: number[][]}|null} the regions' cells */
     this._inside = null;
     /** @type {(RegionMeasures|null)[]} of each, in the frame that is shown */
@@ -147,7 +150,10 @@ export class Regions {
       if (!threshold) continue;
       const text = `${sensor}: ${threshold.quantity} in region ${name} is above ${threshold.above} ${unitOfQuantity(threshold.quantity, unitOf(unit))}`;
       if (!exceeded) withdraw(text);
-      else if (!(sensor === this._sensor && this._regions.some((each) => each.name === name && each.exceeded))) notice(text, true);
+      else if (!(sensor === this._sensor && this._regions.some((each) => each.name === name && each.exceeded)) && performance.now() - (this._told.get(text) ?? -Infinity) > QUIET_MS) {
+        this._told.set(text, performance.now());
+        notice(text, true);
+      }
     }
     this._sensor = sensor;
     const regions = session instanceof PlaybackSession ? watched.map((each) => ({ ...each, exceeded: false })) : watched;
@@ -178,8 +184,11 @@ export class Regions {
 
   _draw() {
     const { shape, points, closable } = this._drawing;
-    for (const each of SHAPES) byId(`region-${each}`).setAttribute("aria-pressed", String(each === shape));
-    setText(byId("region-polygon"), closable ? "Done" : "Polygon");
+    for (const each of SHAPES) {
+      const button = byId(`region-${each}`);
+      button.setAttribute("aria-pressed", String(each === shape));
+      setText(button, each !== shape ? each[0].toUpperCase() + each.slice(1) : closable ? "Done" : "Cancel");
+    }
     const drawn = shape && points.length ? [{ name: "", shape, points_mm: points, exceeded: false }] : [];
     const { charted } = this._viewer;
     const outlines = this._regions.map((each) => ({ ...each, slot: charted?.get(`region ${each.name}`) }));
