@@ -70,15 +70,26 @@ class Image:
     cells: Cells | None = None  # of `restored`; None if the service did not say, or of one value a taxel
     traction: Floats32 | None = None  # kPa, shear restored, (2, ...) of `restored`'s shape; NaN before a tare
 
+    def __str__(self) -> str:
+        """Name it and what it tells, without its arrays."""
+        return ", ".join((self._name, *(f"{key} {value}" for key, value in self._facts.items())))
+
     def _repr_html_(self) -> str:
         """Show it in a notebook."""
+        images = {"raw": self.raw, "restored": self.restored}
+        return html(self._name, images, self.unit, self.noise, self._facts)
+
+    @property
+    def _name(self) -> str:
+        return f"{self.sensor}, frame {self.sequence}"
+
+    @property
+    def _facts(self) -> dict[str, Any]:
         force = {} if math.isnan(self.force) else {"force": f"{self.force:.4g} {FORCE_UNITS[self.unit]}"}
         warnings = "; ".join(each["text"] for each in self.status.get("warnings", ())) or "none"
-        facts = (
+        return (
             {"state": self.status.get("state"), "method": self.status.get("ran")} | force | {"warnings": warnings}
         )
-        images = {"raw": self.raw, "restored": self.restored}
-        return html(f"{self.sensor}, frame {self.sequence}", images, self.unit, self.noise, facts)
 
 
 @dataclass(frozen=True, eq=False)

@@ -224,6 +224,7 @@ def test_a_notebook_shows_raw_and_restored_on_one_scale_and_marks_what_is_unknow
     raw = np.array([[0, 50], [np.nan, 0]], np.float32)
     status = {"state": "stale", "ran": "nnls", "warnings": [{"text": "1 taxel <missing>"}]}
     image = Image(raw, 2 * np.nan_to_num(raw), raw > 9, 7, 0.0, 0.5, 1.0, status, "palm", None, 0.5, force=0.1)
+    assert f"{image}" == "palm, frame 7, state stale, method nnls, force 0.1 N, warnings 1 taxel <missing>"
     html = image._repr_html_()
     for part in ("raw, peak 50 kPa", "restored, peak 100 kPa", "0.1 N", "stale", "nnls", "&lt;missing&gt;"):
         assert part in html
