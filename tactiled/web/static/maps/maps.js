@@ -204,13 +204,14 @@ export class Maps {
     const shown = this._maps.find((each) => each.frame.offsetParent) ?? this.restored;
     const box = /** @type {HTMLElement} */ (shown.frame.parentElement);
     const maps = byId("maps");
-    const single = byId("main").classList.contains("single");
+    const main = byId("main");
+    const single = main.classList.contains("single");
     const surface = maps.dataset.view === "surface";
-    maps.style.removeProperty("--most"); // to see what room there is
+    main.style.removeProperty("--most"); // to see what room there is
     let stacked = WIDE_WINDOW.matches ? this._largerStacked(plane, box) : plane.width > LONG_RATIO * plane.height;
     if (surface) stacked = !WIDE_WINDOW.matches && this._boxes.clientWidth < MIN_BESIDE_PX;
     this._boxes.classList.toggle("stacked", stacked && !single);
-    if (!surface) maps.style.setProperty("--most", `${this._maxHeight(plane, box)}px`);
+    if (!surface) main.style.setProperty("--most", `${this._maxHeight(plane, box)}px`);
     const height = WIDE_WINDOW.matches ? box.clientHeight - AXIS_BOTTOM_PX : 0.7 * window.innerHeight;
     const zoom = snapZoom(plane, Math.min((box.clientWidth - AXIS_LEFT_PX) / plane.width, height / plane.height));
     this.zoom = zoom;
