@@ -16,6 +16,7 @@ CONTACT_SIGMAS = 3.0  # noise standard deviations above which a cell is in conta
 MAX_CORNERS = 64
 TOTAL = "total"  # what a series calls the whole array, beside its regions
 Coordinate = Annotated[float, Field(allow_inf_nan=False, strict=True)]
+HYSTERESIS = 0.1  # of a threshold, by which a value falls under it again where nobody says otherwise
 
 
 class Threshold(BaseModel):
@@ -25,7 +26,11 @@ class Threshold(BaseModel):
 
     quantity: Quantity = Field(examples=["force"])
     above: Coordinate = Field(description="in the quantity's unit", examples=[5.0])
-    below: Coordinate = Field(description="at most `above`", examples=[4.0])
+    below: Coordinate = Field(
+        default_factory=lambda known: known.get("above", 0.0) - HYSTERESIS * abs(known.get("above", 0.0)),
+        description="at most `above`; left out: 10 % less",
+        examples=[4.0],
+    )
 
 
 class Region(BaseModel):

@@ -21,7 +21,6 @@ import { FORCE_UNITS, forceNumber, forceText, pressureText, unitOf, unitOfQuanti
 
 const POLL_MS = 250;
 const CHART_POINTS = 600;
-const HYSTERESIS = 0.1; // of the threshold, below which it is over where nobody says otherwise
 const MAX_GAP_S = 1; // between two values that the line joins, as in the service's integrals
 const QUIET_MS = 60_000; // after a notice of a threshold that is exceeded again and again
 const SHAPES = /** @type {Shape[]} */ (["rectangle", "ellipse", "polygon"]);
@@ -253,8 +252,8 @@ export class Regions {
       this._above.reportValidity();
       return;
     }
-    const below = this._below.value ? this._below.valueAsNumber : above - HYSTERESIS * Math.abs(above);
-    const threshold = quantity ? { quantity, above, below } : null;
+    const below = this._below.value ? { below: this._below.valueAsNumber } : {};
+    const threshold = quantity ? { quantity, above, ...below } : null;
     const { shape, points_mm } = chosen;
     if (chosen.name === undefined && this._regions.some((each) => each.name === name)) {
       notice(`There is a region ${name}: give another name.`, true);

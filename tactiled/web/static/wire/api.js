@@ -256,7 +256,7 @@ export const regions = async (name) => (await request(`${at(name)}/regions`)).re
 /** @param {string} name @param {string} region @returns {string} */
 const atRegion = (name, region) => `${at(name)}/regions/${encodeURIComponent(region)}`;
 
-/** @param {string} name @param {string} region @param {Pick<Region, "shape"|"points_mm"|"threshold">} body @returns {Promise<Region>} */
+/** @param {string} name @param {string} region @param {Pick<Region, "shape"|"points_mm"> & {threshold: {quantity: Measure, above: number, below?: number}|null}} body @returns {Promise<Region>} */
 export const putRegion = (name, region, body) => request(atRegion(name, region), sending("PUT", body));
 
 /** @param {string} name @param {string} region @returns {Promise<null>} */
