@@ -36,6 +36,10 @@ def test_an_address_keeps_a_view_of_the_difference_and_on_the_slider_raw_ends_wh
     signed = page.pixels("difference")[..., :3]
     assert (np.abs(signed - colors_of(url, "RdBu_r")[levels]) <= 6).all()
     assert not page.locator("#raw").is_visible()
+    page.evaluate(WATCH_TEXTS)
+    page.download("s")
+    saved = page.evaluate("window.drawn.filter(each => each.saved).map(each => each.text)")
+    assert extremes.removeprefix(": ") in saved
     page.locator("#difference-frame").click()
     probe = page.locator("#probe", has_text="difference")
     row, column = map(int, re.search(r"taxel r(\d+) c(\d+)", probe.inner_text()).groups())

@@ -48,7 +48,7 @@ export function picture({ name, plane }, frame, { maps, view, range, shear }, co
   const size = `map ${fixed(plane.width, 1)} × ${lengthText(plane.height)}, resolution ${lengthText(frame.resolutionMm, 2)}`;
   const signed = view.name === "difference" ? view.signed : null;
   const shown = shownMaps(frame, maps, view.name);
-  const below = shown.map(({ of }) => (of ? summaryLines(of, frame.unit) : []));
+  const below = shown.map(({ of }) => (of ? summaryLines(of, frame.unit) : [maps.extremes(plane, frame.unit)]));
   const column = Math.max(w, widest(["", ...below.flat()], TEXT_PX));
   const bodyHeight = Math.max(h, MIN_LEGEND_PX);
   const step = AXIS_LEFT_PX + column + MARGIN_PX; // from one map to the next

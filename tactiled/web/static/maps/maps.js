@@ -142,13 +142,15 @@ export class Maps {
 
   /** Write the extremes of the difference; seldom, as nobody reads sixty a second. @param {Frame} frame @param {View} view */
   write(frame, { name, signed }) {
-    const plane = this._plane;
-    if (!plane || name !== "difference" || !signed) return;
-    const { x, y } = plane.restored;
+    if (this._plane && name === "difference" && signed) setText(byId("difference-extremes"), `: ${this.extremes(this._plane, frame.unit)}`);
+  }
+
+  /** @param {Plane} plane @param {number} unit @returns {string} the extremes of the difference that is shown */
+  extremes({ restored: { x, y } }, unit) {
     const [lowest, highest] = extremes(this._differences);
     const [low, high] = [lowest, highest].map((i) => (i < 0 ? 0 : this._differences[i]));
     const place = highest < 0 ? "" : ` at x ${fixed(x[highest], 1)}, y ${fixed(y[highest], 1)} mm`;
-    setText(byId("difference-extremes"), `: ${signedText(low)} to ${signedText(high)} ${UNITS[frame.unit]}${place}`);
+    return `${signedText(low)} to ${signedText(high)} ${UNITS[unit]}${place}`;
   }
 
   /** @returns {DisplayRange} of the difference */
