@@ -21,6 +21,7 @@ from starlette.datastructures import QueryParams
 from tactiled.web.schemas import IMAGE_CELLS, ImageCells, Next
 from tactiled.wire import KINDS, PRESSURES, Kind
 
+MAX_NAMED = 30  # characters of a value that a reason names
 NEXT = '{"type": "next"}, or with "sensor": its name'
 COMBINATIONS = [",".join(some) for count in range(1, len(KINDS) + 1) for some in permutations(KINDS, count)]
 
@@ -99,6 +100,11 @@ def once(query: QueryParams) -> QueryParams:
     return query
 
 
+def brief(value: str) -> str:
+    """A client's words, or so many that a close frame holds the reason behind them, too."""
+    return value if len(value) <= MAX_NAMED else f"{value[:MAX_NAMED]}…"
+
+
 def no_such(name: str, available: Sequence[str]) -> str:
     """The error of an unknown parameter."""
     names = f"are {', '.join(available)}" if available else "is none"
@@ -115,7 +121,7 @@ def parse(query: QueryParams, form: type[Q]) -> Q:
         if error["type"] == "extra_forbidden":
             raise ValueError(no_such(name, [each for each in form.model_fields if each != "token"])) from None
         reason = error["msg"].removeprefix("Value error, ")
-        raise ValueError(f"{name}={query[name]}: {reason}" if name else reason) from None
+        raise ValueError(f"{name}={brief(query[name])}: {reason}" if name else reason) from None
 
 
 @lru_cache(maxsize=64)  # of at most MAX_MESSAGE_BYTES each: clients send the same ones over and over

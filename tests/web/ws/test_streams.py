@@ -128,7 +128,8 @@ REFUSED = {
     f"{ONE}?kinds=raw,blurred": (4400, "kinds=raw,blurred: "),
     f"{ONE}?kinds=": (4400, "kinds=: "),
     f"{ONE}?kinds=raw&kinds=restored": (4400, "kinds: given 2 times"),
-    f"{ONE}?kinds={'ü' * 200}": (4400, "kinds=üüü"),  # cut to what a close frame holds
+    f"{ONE}?kinds={'ü' * 200}": (4400, f"kinds={'ü' * 30}…: Input should be 'raw'"),  # all fits a close frame
+    f"{ONE}?rate_hz={'9' * 200}": (4400, f"rate_hz={'9' * 30}…: Input should be less than or equal to 10000"),
     f"{ONE}?rate_hz=nan": (4400, "rate_hz=nan: "),
     f"{ONE}?rate_hz=fast": (4400, "rate_hz=fast: "),
     f"{ONE}?rate_hz=-1": (4400, "rate_hz=-1: "),
