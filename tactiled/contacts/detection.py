@@ -65,9 +65,9 @@ class Finder:
         """Contacts of an image (in `unit`), the strongest first, all with id 0; `noise` is a cell's.
 
         With `faint` also those too faint to begin: a contact that has begun may become as faint. A contact is
-        left out if too little of it is known, by the `shares` of the cells. At a dip near the bound, what was one
-        contact or two in `before`, the `parts` of the last image, stays so. `deviation` gives the cells' (in
-        `unit`); it is called only if there are contacts.
+        left out beside an unknown cell (NaN), or if too little of it is left by the `shares` of the cells. At a
+        dip near the bound, what was one contact or two in `before`, the `parts` of the last image, stays so.
+        `deviation` gives the cells' (in `unit`); it is called only if there are contacts.
         """
         pressure = np.where(self._felt, np.nan_to_num(np.asarray(image, float)), 0)
         begin, go_on = BEGIN_SIGMAS * noise, CONTINUE_SIGMAS * noise
@@ -90,10 +90,10 @@ class Finder:
         self.parts = parts
         skirts = np.where(self._felt, expand_labels(parts, 1), 0)
         scale = FORCE_SCALES[unit]
-        numbers = np.unique(parts[parts > 0]).tolist()
+        cut = np.unique(skirts[self._felt & np.isnan(image)])  # by an unknown cell
+        numbers = np.setdiff1d(parts[parts > 0], cut).tolist()
         if shares is not None:
-            whole = (n for n in numbers if is_known(shares[skirts == n]).all())  # no unknown cell cuts it off
-            numbers = [n for n in whole if is_known(shares[parts == n].mean(), summed=True)]
+            numbers = [n for n in numbers if is_known(shares[parts == n].mean(), summed=True)]
         spread = deviation().ravel() if numbers and deviation else np.full(pressure.size, np.nan)
         cells = ([np.flatnonzero(each == n) for each in (parts, skirts)] for n in numbers)
         most = 0.5 * float(np.maximum(pressure, 0).sum())

@@ -33,7 +33,8 @@ def test_a_contact_of_which_too_little_is_left_is_not_known():
     image[1:4, 1:4] = image[4:8, 7:10] = 50
     flags = lost(6, 7, 8)
     share = shares(flags, sensor.blur)
+    assert len(find(image, 0.1)) == 2
+    left = find(image, 0.1, shares=share)
     image[~is_known(share)] = np.nan
-    assert len(find(image, 0.1)) == 2  # a NaN is no peak
-    (contact,) = find(image, 0.1, shares=share)
-    assert (contact.x_mm, contact.y_mm) == pytest.approx((2, 2), abs=0.1)
+    for (contact,) in (left, find(image, 0.1)):
+        assert (contact.x_mm, contact.y_mm) == pytest.approx((2, 2), abs=0.1)

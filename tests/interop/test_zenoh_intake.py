@@ -101,7 +101,7 @@ def test_a_wrong_message_makes_its_sensor_stale_and_changes_nothing_else_until_a
     [
         ({"noise": float("inf")}, DETAIL, "one is out of bounds"),
         ({"sequence": 2**60}, DETAIL, "one is out of bounds"),
-        ({"restored": np.full((SIDE, SIDE), np.nan, np.float32)}, DETAIL, "unknown where none may be"),
+        ({"restored": np.full((SIDE, SIDE), np.inf, np.float32)}, DETAIL, "a value is infinite"),
         ({"raw": np.full((SIDE, SIDE), np.inf, np.float32)}, DETAIL, "a value is infinite"),
         ({"flags": np.zeros(3, np.uint8)}, DETAIL, "3 flags: one a taxel"),
         ({"restored": np.zeros((2, 2), np.float32)}, DETAIL, "restored of 4 values: its geometry has 16"),
@@ -118,6 +118,15 @@ def test_an_image_of_another_form_is_refused_and_the_next_one_is_shown(changes, 
         assert why in sensor.line.refused
         show(made, "bad/palm", 3)
         assert sensor.hub.latest().sequence == 3
+
+
+def test_an_image_with_unknown_cells_is_shown_as_it_came():
+    holes = np.where(np.eye(SIDE) > 0, np.float32(np.nan), np.float32(2))
+    with intake() as made:
+        sensor = join(made, "good/palm")
+        show(made, "good/palm", 1, {"restored": holes})
+        assert sensor.line.refused == ""
+        np.testing.assert_array_equal(sensor.hub.latest().restored, holes)
 
 
 def test_a_robot_over_its_budget_loses_its_own_messages_and_no_others(monkeypatch):
