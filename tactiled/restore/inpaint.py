@@ -2,6 +2,7 @@
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import lapack
 
 from tactiled.arrays import Floats, Floats32
 from tactiled.frames import SATURATED, UNKNOWN
@@ -11,7 +12,8 @@ from tactiled.restore.prior import Spectrum
 from tactiled.restore.scene import Scene
 from tactiled.restore.solvers import conjugate_gradients
 
-MAX_ITERATIONS = 12  # of conjugate gradients: a lone dead taxel needs two or three
+MAX_SOLVED = 256  # taxels that are solved for at once, in a millisecond; more of them by iterations, less exactly
+MAX_ITERATIONS = 12  # of conjugate gradients
 SPECTRUM = (0.04, 1.5, 1e4)  # corner (cycles a cell), power, level over the noise: it fills a frame first
 MAX_ROUGHNESS = 1e4  # and its inverse the least
 
@@ -77,14 +79,21 @@ class Inpainter:
         return self._scene.unfelt(self._spectrum, gaps)
 
     def _infer(self, spectrum: Spectrum, D: Floats32) -> None:
-        missing, precise = self._missing, self._scene.kriging.precise
+        missing, kriging = self._missing, self._scene.kriging
         self._frame[missing] = 0
-        right = D * self._reading[missing] - precise(self._frame, spectrum)[missing]
+        if 0 < len(D) <= MAX_SOLVED:
+            rows = kriging.rows(missing, spectrum)
+            right = D * self._reading[missing] - rows @ self._frame.ravel()
+            _, found, failed = lapack.dposv(rows[:, missing.ravel()] + np.diag(D).astype(float), right)
+            if not failed:
+                self._frame[missing] = found
+                return
+        right = D * self._reading[missing] - kriging.precise(self._frame, spectrum)[missing]
 
         def system(v: Floats32) -> Floats32:
             spread = np.zeros(self._frame.shape, np.float32)
             spread[missing] = v
-            return np.asarray(precise(spread, spectrum)[missing] + D * v)
+            return np.asarray(kriging.precise(spread, spectrum)[missing] + D * v)
 
         self._frame[missing] = conjugate_gradients(system, right, MAX_ITERATIONS)
 

@@ -18,7 +18,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from tactiled.arrays import Floats, Floats32
+from tactiled.arrays import Floats, Floats32, Mask
 from tactiled.core import surface
 from tactiled.restore.blur import Blur
 from tactiled.restore.modes import Modes, Transform
@@ -51,6 +51,9 @@ class Kriging(Protocol):
 
     def precise(self, y: Floats32, spectrum: Spectrum) -> Floats32:
         """Give what is left of each taxel's reading that the others do not say, over its variance: C^-1 y."""
+
+    def rows(self, where: Mask, spectrum: Spectrum) -> Floats32:
+        """Give the rows (m, N) of C^-1 of some taxels, `where` they are in the frame."""
 
     def precision(self, spectrum: Spectrum) -> Floats:
         """Give the diagonal of C^-1, of the frame's shape."""
@@ -91,6 +94,7 @@ class Part(Kriging):
         self._beyond, self._whole = np.divmod(self._missing, shape[-1]), (0, shape[0], 0, shape[-1])
         arrays = self._there, modes.gain, *modes.taxel, modes.frequency, gain_variance
         self._matrices: Kept[tuple[Floats32, Floats]] = kept("part", *arrays)
+        self._of_taxels: Kept[Floats32] = kept("rows", *arrays)
         whole = not len(self._missing)
         sides = zip(modes.taxel, blur.frame_shape, strict=True)
         self.bases = tuple(U if whole else _cosines(n) for U, n in sides)
@@ -128,6 +132,19 @@ class Part(Kriging):
         """Give C^-1 y."""
         spectrum = self._shared(spectrum)
         return self._apply(np.asarray(1 / self._variance(spectrum.ratio), np.float32), self(y, spectrum))
+
+    def rows(self, where: Mask, spectrum: Spectrum) -> Floats32:
+        """Give the rows (m, N) of C^-1 of some taxels, `where` they are in the frame."""
+        spectrum = self._shared(spectrum)
+
+        def make() -> Floats32:
+            taxels = np.zeros(self._there.shape, bool)
+            taxels[self._own] = where
+            Q = self._rows(taxels, spectrum)
+            beyond = Q[:, self._missing] @ self._matrix(spectrum)[0] if len(self._missing) else 0.0
+            return np.asarray(Q[:, self._known] + beyond, np.float32)
+
+        return self._of_taxels(spectrum, make, int(np.count_nonzero(where)) * where.size, where.tobytes())
 
     def precision(self, spectrum: Spectrum) -> Floats:
         """Give the diagonal of C^-1, of the frame's shape."""
@@ -183,13 +200,17 @@ class Part(Kriging):
         """-Q_mm^-1 Q_mk of a spectrum, and by how much Q_kk's diagonal is lower as the others are not there."""
 
         def make() -> tuple[Floats32, Floats]:
-            (U, V), shape = self._modes.taxel, self._modes.gain.shape
-            patterns = _patterns(self._modes, ~self._there) / self._variance(spectrum.ratio).ravel()
-            Q = (U @ patterns.reshape(-1, *shape) @ V.T).reshape(len(patterns), -1)
+            Q = self._rows(~self._there, spectrum)
             matrix = np.asarray(-np.linalg.solve(Q[:, self._missing], Q[:, self._known]), np.float32)
             return matrix, np.einsum("mk,mk->k", matrix, Q[:, self._known])
 
         return self._matrices(spectrum, make, len(self._missing) * len(self._known))
+
+    def _rows(self, taxels: Mask, spectrum: Spectrum) -> Floats:
+        """Rows (m, R C) of Q of some taxels of the full grid."""
+        U, V = self._modes.taxel
+        patterns = _patterns(self._modes, taxels) / self._variance(spectrum.ratio).ravel()
+        return np.asarray((U @ patterns.reshape(-1, *taxels.shape) @ V.T).reshape(len(patterns), -1))
 
 
 class Anywhere(Kriging):
@@ -247,6 +268,10 @@ class Anywhere(Kriging):
     def precise(self, y: Floats32, spectrum: Spectrum) -> Floats32:
         """Give C^-1 y."""
         return np.asarray((self._inverse(spectrum) @ y.reshape(-1)).reshape(y.shape), np.float32)
+
+    def rows(self, where: Mask, spectrum: Spectrum) -> Floats32:
+        """Give the rows (m, N) of C^-1 of some taxels, `where` they are in the frame."""
+        return np.asarray(self._inverse(spectrum)[where.ravel()], np.float32)
 
     def precision(self, spectrum: Spectrum) -> Floats:
         """Give the diagonal of C^-1, of the frame's shape."""

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from hashlib import sha256
 from itertools import product
+from threading import Lock
 from typing import Any, Generic, TypeVar
 from weakref import WeakValueDictionary
 
@@ -53,22 +54,27 @@ class Kept(Generic[T]):
     """What is made of spectra for arrays that are alike, whatever their noise; any thread."""
 
     def __init__(self) -> None:
-        self._made: dict[tuple[float, float, float], T] = {}
+        self._made: dict[tuple[float, float, float, bytes], tuple[T, int]] = {}
+        self._values, self._lock = 0, Lock()  # numbers in all of it
 
     def __len__(self) -> int:
         """Of how many spectra it has something."""
         return len(self._made)
 
-    def __call__(self, spectrum: Spectrum, make: Callable[[], T], values: int = 0) -> T:
-        """Give what was made of a spectrum, or make it, of so many numbers; the oldest goes where room ends."""
-        key = spectrum.level, spectrum.corner, spectrum.power
-        if (made := self._made.get(key)) is None:
-            made = make()
-            for oldest in [*self._made]:
-                if (len(self._made) + 1) * values <= MAX_KEPT_VALUES:
-                    break
-                self._made.pop(oldest, None)
-            self._made[key] = made
+    def __call__(self, spectrum: Spectrum, make: Callable[[], T], values: int = 0, of: bytes = b"") -> T:
+        """Give what was made of a spectrum, and `of` something else, or make it, of so many numbers.
+
+        The oldest goes where room ends.
+        """
+        key = spectrum.level, spectrum.corner, spectrum.power, of
+        if (kept := self._made.get(key)) is not None:
+            return kept[0]
+        made = make()
+        with self._lock:
+            while self._made and self._values + values > MAX_KEPT_VALUES:
+                self._values -= self._made.pop(next(iter(self._made)))[1]
+            self._values += values - self._made.pop(key, (made, 0))[1]
+            self._made[key] = made, values
         return made
 
 

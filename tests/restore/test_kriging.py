@@ -3,6 +3,8 @@
 import numpy as np
 import pytest
 
+from tactiled.frames import MISSING
+from tactiled.restore.inpaint import Inpainter
 from tactiled.restore.kriging import Gaps
 from tactiled.restore.scene import Scene
 
@@ -50,6 +52,28 @@ def test_the_precision_of_a_taxel_is_that_by_the_others(scene):
     ours = np.array([scene.kriging.precise(one, scene.spectrum).ravel().copy() for one in each])
     np.testing.assert_allclose(ours, expected, atol=1e-3 * expected.max())
     np.testing.assert_allclose(scene.kriging.precision(scene.spectrum).ravel(), expected.diagonal(), rtol=1e-2)
+    some = np.zeros(shape, bool)
+    some.flat[5:9] = True
+    np.testing.assert_allclose(scene.kriging.rows(some, scene.spectrum), expected[5:9], atol=1e-3 * expected.max())
+
+
+@pytest.mark.parametrize("at_once", [True, False])
+def test_a_hole_in_a_frame_is_the_mean_given_the_others(scene, at_once, monkeypatch):
+    if not at_once:
+        monkeypatch.setattr("tactiled.restore.inpaint.MAX_SOLVED", 0)
+    error, hole = (1e-3, slice(7, 20)) if at_once else (0.1, slice(7, 9))
+    lost = np.zeros(scene.array.frame_shape, np.uint8)
+    lost.flat[hole] = MISSING
+    y = np.cumsum(np.random.default_rng(1).normal(0, 50, lost.shape), axis=-1).astype(np.float32)
+    inpainter = Inpainter(scene)
+    inpainter.weigh(None)
+    inpainter.mask(y, lost)
+    filled = inpainter.fill().ravel()
+    scene.spectrum = inpainter._spectrum
+    felt, S = normal(scene)
+    C, known = felt @ S @ felt.T + np.eye(len(felt)), lost.ravel() == 0
+    expected = C[np.ix_(~known, known)] @ np.linalg.solve(C[np.ix_(known, known)], y.ravel()[known])
+    assert np.linalg.norm(filled[~known] - expected) < error * np.linalg.norm(expected)
 
 
 @pytest.mark.parametrize("missing", [0, 3])
