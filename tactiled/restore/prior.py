@@ -9,7 +9,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from hashlib import sha256
 from itertools import product
-from threading import Lock
 from typing import Any, Generic, TypeVar
 from weakref import WeakValueDictionary
 
@@ -54,8 +53,7 @@ class Kept(Generic[T]):
     """What is made of spectra for arrays that are alike, whatever their noise; any thread."""
 
     def __init__(self) -> None:
-        self._made: dict[tuple[float, float, float, bytes], tuple[T, int]] = {}
-        self._values, self._lock = 0, Lock()  # numbers in all of it
+        self._made: dict[tuple[float, float, float, bytes], tuple[T, int]] = {}  # with its numbers
 
     def __len__(self) -> int:
         """Of how many spectra it has something."""
@@ -70,11 +68,11 @@ class Kept(Generic[T]):
         if (kept := self._made.get(key)) is not None:
             return kept[0]
         made = make()
-        with self._lock:
-            while self._made and self._values + values > MAX_KEPT_VALUES:
-                self._values -= self._made.pop(next(iter(self._made)))[1]
-            self._values += values - self._made.pop(key, (made, 0))[1]
-            self._made[key] = made, values
+        for oldest in [*self._made]:
+            if values + sum(size for _, size in [*self._made.values()]) <= MAX_KEPT_VALUES:
+                break
+            self._made.pop(oldest, None)
+        self._made[key] = made, values
         return made
 
 

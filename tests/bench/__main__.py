@@ -19,6 +19,7 @@ from tests.bench import (
     restore,
     sensors,
     shear,
+    slow_clients,
     soak,
     train,
     zenoh,
@@ -29,7 +30,7 @@ for measurement in (
     blind.blind, border.border, bus.bus, contacts.contacts, cover.cover, felt.felt,
     frame_times.frame_times, health.health, invented.invented,
     judge.judge, mistakes.mistakes, restart.restart, restore.restore,
-    sensors.sensors_against, shear.shear, soak.soak, train.train, zenoh.zenoh,
+    sensors.sensors_against, shear.shear, slow_clients.slow_clients, soak.soak, train.train, zenoh.zenoh,
 ):  # fmt: skip
     app.command()(measurement)
 
