@@ -3,6 +3,7 @@ from numpy.typing import NDArray
 
 _Array = NDArray[np.float32]
 _Flags = NDArray[np.uint8]
+_Doubles = NDArray[np.float64]
 
 def calibrate(
     counts: _Array,
@@ -29,6 +30,7 @@ def keep_total(
     most: float,
     passes: int,
 ) -> None: ...
-def part_sums(
-    x: _Array, rows: NDArray[np.int64], columns: NDArray[np.int64], out: NDArray[np.float64]
+def part_sums(x: _Array, rows: NDArray[np.int64], columns: NDArray[np.int64], out: _Doubles) -> None: ...
+def raise_above(
+    precision: _Doubles, right: _Doubles, bounds: _Doubles, sigma: float, sweeps: int, x: _Doubles
 ) -> None: ...

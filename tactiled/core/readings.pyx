@@ -1,7 +1,7 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, initializedcheck=False, cdivision=True
 """Counts of taxels to pressure, and looks at a frame, float32."""
 
-from libc.math cimport INFINITY, NAN
+from libc.math cimport INFINITY, M_PI, M_SQRT2, NAN, erfc, exp, sqrt
 
 cdef extern from "looks.h" nogil:
     struct looks:
@@ -125,3 +125,36 @@ def part_sums(const float[:, ::1] x, const long[::1] rows, const long[::1] colum
                 for j in range(columns[q], columns[q + 1] if q + 1 < Q else C):
                     total += x[i, j]
                 out[p, q] += total
+
+
+def raise_above(
+    const double[:, ::1] precision,
+    const double[::1] right,
+    const double[::1] bounds,
+    double sigma,
+    int sweeps,
+    double[::1] x,
+):
+    """Move x (m,) towards the means of normal values that are not below their `bounds` (m,), -inf for none.
+
+    The values have the covariance `precision`^-1 sigma^2 (m, m), and without bounds the mean precision^-1 `right`.
+    Each is taken to be independent but for the means of the others (mean field), in so many `sweeps`:
+    x_i = v + s phi(a) / (1 - Phi(a)) with v = (right_i - sum_{j != i} precision_ij x_j) / precision_ii,
+    s = sigma / sqrt(precision_ii) and a = (bound_i - v) / s. ValueError where shapes do not fit.
+    """
+    cdef long m = x.shape[0], i, j
+    cdef int sweep
+    cdef double v, s, a
+    if not precision.shape[0] == precision.shape[1] == right.shape[0] == bounds.shape[0] == m:
+        raise ValueError("raise_above: shapes do not fit")
+    with nogil:
+        for sweep in range(sweeps):
+            for i in range(m):
+                v = right[i] + precision[i, i] * x[i]
+                for j in range(m):
+                    v -= precision[i, j] * x[j]
+                v /= precision[i, i]
+                s = sigma / sqrt(precision[i, i])
+                a = (bounds[i] - v) / s
+                # Far above, the ratio of two numbers that underflow is a + 1 / a but for its third power.
+                x[i] = v + s * (a + 1 / a if a > 25 else sqrt(2 / M_PI) * exp(-a * a / 2) / erfc(a / M_SQRT2))

@@ -5,6 +5,7 @@ from numpy.typing import NDArray
 from scipy.linalg import lapack
 
 from tactiled.arrays import Floats, Floats32
+from tactiled.core import readings
 from tactiled.frames import SATURATED, UNKNOWN
 from tactiled.restore.kriging import Gaps
 from tactiled.restore.noise import IMPLAUSIBLE_KPA
@@ -13,6 +14,8 @@ from tactiled.restore.scene import Scene
 from tactiled.restore.solvers import conjugate_gradients
 
 MAX_SOLVED = 256  # taxels that are solved for at once, in a millisecond; more of them by iterations, less exactly
+EXCESS = 0.5  # of a saturated taxel's reading: the standard deviation of what it would read without a ceiling
+SWEEPS = 10  # over saturated taxels and those inferred beside them: more change their image by less than 1 %
 MAX_ITERATIONS = 12  # of conjugate gradients
 SPECTRUM = (0.04, 1.5, 1e4)  # corner (cycles a cell), power, level over the noise: it fills a frame first
 MAX_ROUGHNESS = 1e4  # and its inverse the least
@@ -23,8 +26,10 @@ class Inpainter:
 
     With precision Q = U diag(1 / (h^2 S + sigma^2)) U', the mean of the taxels m that are unknown or noisy, given
     their own readings r and the others' y_k, solves (Q_mm + D) y_m = D r - Q_mk y_k; D is 0 of an unknown one,
-    1 / (sigma_m^2 - sigma^2) of a noisy one. S is that of the frame as it is once a fixed S has filled it. It is
-    the same everywhere, but pressure is rough at edges and smooth between: D counts more where it is rough.
+    1 / (sigma_m^2 - sigma^2) of a noisy one. A saturated one would read about EXCESS r above its ceiling r, and no
+    less than r: y_m is the mean of such values. S is that of the frame as it is once a fixed S has filled it. It
+    is the same everywhere, but pressure is rough at edges and smooth between: D of a noisy taxel counts more where
+    it is rough.
     """
 
     def __init__(self, scene: Scene) -> None:
@@ -64,12 +69,17 @@ class Inpainter:
         lost = self._unknown | self._bounded
         self._frame[...] = self._reading
         self._missing[...] = (lost | self._noisy) & (not lost.all())
-        self._weight = np.where(lost, np.float32(0), self._own)[self._missing]
+        own = np.where(lost, np.float32(0), self._own)
+        if self._bounded.any():
+            excess = np.maximum(EXCESS * np.abs(self._reading), self._scene.noise) / self._scene.noise
+            own = np.where(self._bounded, excess**-2, own)
+        self._weight = np.asarray(own[self._missing], np.float32)
         self._infer(self._first, self._weight)
         self._spectrum = self._scene.prior.pick(self._frame)
         self._infer(self._spectrum, self._weight)
         if self.weighs:
-            self._infer(self._spectrum, self._weight * self._roughness()[self._missing])
+            rough = np.where(self._bounded, 1, self._roughness())
+            self._infer(self._spectrum, self._weight * rough[self._missing])
         self._frame[self._bounded] = np.maximum(self._frame, self._reading)[self._bounded]
         return self._frame
 
@@ -83,9 +93,14 @@ class Inpainter:
         self._frame[missing] = 0
         if 0 < len(D) <= MAX_SOLVED:
             rows = kriging.rows(missing, spectrum)
-            right = D * self._reading[missing] - rows @ self._frame.ravel()
-            _, found, failed = lapack.dposv(rows[:, missing.ravel()] + np.diag(D).astype(float), right)
+            right = (D * self._reading[missing] - rows @ self._frame.ravel()).astype(float)
+            precision = np.ascontiguousarray(rows[:, missing.ravel()], float) + np.diag(D)
+            _, found, failed = lapack.dposv(precision, right)
             if not failed:
+                if self._bounded.any():
+                    bounds = np.where(self._bounded, self._reading, -np.inf)[missing].astype(float)
+                    found = np.maximum(found, bounds)
+                    readings.raise_above(precision, right, bounds, self._scene.noise, SWEEPS, found)
                 self._frame[missing] = found
                 return
         right = D * self._reading[missing] - kriging.precise(self._frame, spectrum)[missing]

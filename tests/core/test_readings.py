@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.stats import norm
 
 from tactiled.core import readings
 from tactiled.frames import DEAD, MISSING, SATURATED, UNKNOWN
@@ -91,3 +92,18 @@ def test_shapes_that_do_not_fit_are_refused():
             readings.part_sums(rows, *parts, np.empty((len(down), len(across))))
     with pytest.raises(ValueError, match="do not fit"):
         readings.keep_total(row, row[1:].copy(), 1.0, 0.0, 0.0, 0.0, 0.5, 2.0, 8)
+
+
+@given(SEEDS, st.integers(1, 8), st.sampled_from([1e-3, 1.0, 30.0]))
+def test_values_above_bounds_are_each_the_mean_given_the_others(seed, size, sigma):
+    random = np.random.default_rng(seed)
+    root = random.normal(size=(size, 2 * size))
+    precision, right = root @ root.T, random.normal(0, 5, size)
+    bounds = np.where(random.random(size) < 0.5, random.normal(0, 3, size), -np.inf)
+    x = np.maximum(np.linalg.solve(precision, right), bounds)
+    readings.raise_above(precision, right, bounds, sigma, 2000, x)
+    own = precision.diagonal()
+    mean, spread = (right - (precision - np.diag(own)) @ x) / own, sigma / np.sqrt(own)
+    above = (bounds - mean) / spread
+    expected = mean + spread * np.exp(norm.logpdf(above) - norm.logsf(above))
+    np.testing.assert_allclose(x, expected, rtol=1e-4, atol=1e-6)

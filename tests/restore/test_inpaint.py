@@ -7,7 +7,7 @@ import pytest
 
 from tactiled.bench.scenes import TEST_SCENES
 from tactiled.bench.skin import draw, misconfigured, nrmse, rubber, sense
-from tactiled.frames import MISSING
+from tactiled.frames import MISSING, SATURATED
 from tactiled.restore.inpaint import Inpainter
 from tactiled.restore.methods import make
 from tactiled.restore.noise import detection_threshold
@@ -50,6 +50,19 @@ def test_on_a_healthy_pad_nothing_is_inferred_and_no_bit_changes(monkeypatch):
     image = make("auto", blur, sigma)(frame).image.copy()
     monkeypatch.setattr(Inpainter, "mask", None)
     np.testing.assert_array_equal(make("auto", blur, sigma, np.ones(SIZE**2))(frame).image, image)
+
+
+@pytest.mark.parametrize(("ceiling", "part"), [(0.8, 0.97), (0.5, 0.85)])
+def test_saturated_taxels_are_above_their_ceiling(ceiling, part, monkeypatch):
+    errors = []
+    for sweeps in (10, 0):
+        monkeypatch.setattr("tactiled.restore.inpaint.SWEEPS", sweeps)
+        for blur, sigma, _, frame, _, truth in presses(1.5, 1.0):
+            top = ceiling * frame.max()
+            flags = np.where(frame >= top, SATURATED, 0).astype(np.uint8)
+            errors.append(nrmse(make("auto", blur, sigma)(np.minimum(frame, top), flags).image, truth))
+    above, plain = np.mean(np.reshape(errors, (2, -1)), axis=1)
+    assert above < part * plain
 
 
 def test_noise_of_noisy_taxels_is_no_contact():

@@ -132,7 +132,8 @@ def test_a_saturated_taxel_is_a_lower_bound(covered):
     assert nrmse(make("nnls", blur, SIGMA)(cut, flags).image, truth) < 0.7 * naive
     alone = np.zeros((16, 16), np.float32)
     alone[5, 5] = 200  # which its neighbours do not suggest
-    assert make("raw", blur, SIGMA)(alone, np.where(alone > 0, SATURATED, 0).astype(np.uint8)).image[5, 5] == 200
+    image = make("raw", blur, SIGMA)(alone, np.where(alone > 0, SATURATED, 0).astype(np.uint8)).image
+    assert 200 <= image[5, 5] < 205
 
 
 @pytest.mark.parametrize("size", [16, 34], ids=["full grid", "with windows"])
