@@ -141,8 +141,10 @@ class Part(Kriging):
             taxels = np.zeros(self._there.shape, bool)
             taxels[self._own] = where
             Q = self._rows(taxels, spectrum)
-            beyond = Q[:, self._missing] @ self._matrix(spectrum)[0] if len(self._missing) else 0.0
-            return np.asarray(Q[:, self._known] + beyond, np.float32)
+            rows = Q[:, self._known]
+            if len(self._missing):
+                rows += Q[:, self._missing].astype(np.float32) @ self._matrix(spectrum)[0]
+            return np.asarray(rows, np.float32)
 
         return self._of_taxels(spectrum, make, int(np.count_nonzero(where)) * where.size, where.tobytes())
 
