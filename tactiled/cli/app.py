@@ -2,6 +2,7 @@
 
 import gc
 import logging
+import os
 import signal
 import sys
 from collections.abc import Callable, Iterator
@@ -56,6 +57,7 @@ def main() -> None:
     A service that is stopped before it runs ends as one that runs: with exit code 0.
     """
     if SERVICES.intersection(sys.argv[1:2]):
+        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # its threads wait for each other longer than they save
         for each in _stop_signals():
             signal.signal(each, lambda *_: sys.exit())
     else:

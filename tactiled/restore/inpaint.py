@@ -13,9 +13,10 @@ from tactiled.restore.prior import Spectrum
 from tactiled.restore.scene import Scene
 from tactiled.restore.solvers import conjugate_gradients
 
-MAX_SOLVED = 256  # taxels that are solved for at once, in a millisecond; more of them by iterations, less exactly
+MAX_SOLVED = 1 << 17  # missing taxels times all: up to so many they are solved for at once, beyond by iterations
 EXCESS = 0.5  # of a saturated taxel's reading: the standard deviation of what it would read without a ceiling
-SWEEPS = 10  # over saturated taxels and those inferred beside them: more change their image by less than 1 %
+SWEEPS = 100  # over saturated taxels and what is inferred beside them, at most; 1000 have 1 % less error
+MAX_PRODUCTS = 1 << 19  # of numbers in all sweeps: half a millisecond
 MAX_ITERATIONS = 12  # of conjugate gradients
 SPECTRUM = (0.04, 1.5, 1e4)  # corner (cycles a cell), power, level over the noise: it fills a frame first
 MAX_ROUGHNESS = 1e4  # and its inverse the least
@@ -68,7 +69,7 @@ class Inpainter:
         """Give the frame just masked, unknown and noisy taxels inferred, saturated ones not below their values."""
         lost = self._unknown | self._bounded
         self._frame[...] = self._reading
-        self._missing[...] = (lost | self._noisy) & (not lost.all())
+        self._missing[...] = lost | self._noisy
         own = np.where(lost, np.float32(0), self._own)
         if self._bounded.any():
             excess = np.maximum(EXCESS * np.abs(self._reading), self._scene.noise) / self._scene.noise
@@ -85,13 +86,14 @@ class Inpainter:
 
     def deviation(self) -> Floats:
         """Standard deviation (kPa) of every cell due to the taxels that `fill` inferred, by the linear filter."""
-        gaps = Gaps(self._missing, self._weight.astype(float), self._roughness().astype(float))
+        own = np.where(self._bounded[self._missing], 0, self._weight).astype(float)
+        gaps = Gaps(self._missing, own, self._roughness().astype(float))
         return self._scene.unfelt(self._spectrum, gaps)
 
     def _infer(self, spectrum: Spectrum, D: Floats32) -> None:
         missing, kriging = self._missing, self._scene.kriging
         self._frame[missing] = 0
-        if 0 < len(D) <= MAX_SOLVED:
+        if 0 < len(D) * missing.size <= MAX_SOLVED:
             rows = kriging.rows(missing, spectrum)
             right = (D * self._reading[missing] - rows @ self._frame.ravel()).astype(float)
             precision = np.ascontiguousarray(rows[:, missing.ravel()], float) + np.diag(D)
@@ -100,7 +102,8 @@ class Inpainter:
                 if self._bounded.any():
                     bounds = np.where(self._bounded, self._reading, -np.inf)[missing].astype(float)
                     found = np.maximum(found, bounds)
-                    readings.raise_above(precision, right, bounds, self._scene.noise, SWEEPS, found)
+                    sweeps = min(SWEEPS, MAX_PRODUCTS // len(D) ** 2)
+                    readings.raise_above(precision, right, bounds, self._scene.noise, sweeps, found)
                 self._frame[missing] = found
                 return
         right = D * self._reading[missing] - kriging.precise(self._frame, spectrum)[missing]

@@ -144,7 +144,9 @@ class Part(Kriging):
             rows = Q[:, self._known]
             if len(self._missing):
                 rows += Q[:, self._missing].astype(np.float32) @ self._matrix(spectrum)[0]
-            return np.asarray(rows, np.float32)
+            kept = np.asarray(rows, np.float32)
+            kept.flags.writeable = False
+            return kept
 
         return self._of_taxels(spectrum, make, int(np.count_nonzero(where)) * where.size, where.tobytes())
 

@@ -23,6 +23,7 @@ from tactiled.restore.modes import Modes, Transform
 CORNERS = (0.02, 0.06, 0.2, 0.6)  # q0, cycles a cell: from one wide press to points
 POWERS = (1.25, 1.75)  # p, on either side of 1.5, the fall of a sharp edge in the plane
 LEVELS = 4.0 ** np.arange(-2, 19)  # A over the noise's variance: from no signal to noise of 1e-4 of it all
+MAX_KEPT = 256  # things of one kind: more than there are spectra
 MAX_KEPT_VALUES = 1 << 24  # of all matrices of one kind that are kept: 64 MB
 MAX_AMPLIFICATION = 100.0  # a filter that amplifies more leans on gains under 1 %, which no cover's model knows
 
@@ -62,14 +63,18 @@ class Kept(Generic[T]):
     def __call__(self, spectrum: Spectrum, make: Callable[[], T], values: int = 0, of: bytes = b"") -> T:
         """Give what was made of a spectrum, and `of` something else, or make it, of so many numbers.
 
-        The oldest goes where room ends.
+        Where room ends, what was made, or with `of` used, longest ago goes.
         """
         key = spectrum.level, spectrum.corner, spectrum.power, of
         if (kept := self._made.get(key)) is not None:
+            if of:
+                self._made.pop(key, None)
+                self._made[key] = kept
             return kept[0]
         made = make()
         for oldest in [*self._made]:
-            if values + sum(size for _, size in [*self._made.values()]) <= MAX_KEPT_VALUES:
+            sizes = [size for _, size in [*self._made.values()]]
+            if len(sizes) < MAX_KEPT and values + sum(sizes) <= MAX_KEPT_VALUES:
                 break
             self._made.pop(oldest, None)
         self._made[key] = made, values

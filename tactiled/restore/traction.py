@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.linalg import lapack
 
 from tactiled.arrays import Floats, Floats32, Ints
+from tactiled.restore.noise import IMPLAUSIBLE_KPA
 
 FRICTION = 0.35  # tangential load along an axis over pressure, standard deviation, at most
 SIZES = (0.0, 0.1, 0.3, 1.0)  # of friction: parts of its variance that are tried
@@ -56,6 +57,7 @@ class Traction:
         have no pressure around it.
         """
         felt, (_, cells, shape, own, _) = self._felt, self.coupled
+        readings = np.where(np.abs(readings) < IMPLAUSIBLE_KPA, readings, np.nan)
         taxels, size, p = readings.shape[1], len(cells), np.zeros(shape, np.float32)
         p[own if image.shape != shape else ...] = image
         p = np.maximum(p.ravel(), 0)
@@ -68,7 +70,12 @@ class Traction:
         largest = np.nanmax(np.abs(readings), axis=1, initial=0.0)
         variance = np.repeat(noise**2 + (MODEL_ERROR * largest) ** 2, taxels)[known]
         left = np.asarray(readings.ravel()[known] - felt[known][:, :size] @ p, np.float32)
-        estimate = _Estimate(p[at], A[known], left, variance, self._friction[at][:, at], self._wrong[at][:, at])
+        try:
+            estimate = _Estimate(
+                p[at], A[known], left, variance, self._friction[at][:, at], self._wrong[at][:, at]
+            )
+        except np.linalg.LinAlgError:  # values so small that their squares vanish
+            return Load(self.coupled, noise[0], np.zeros(taxels))
         added = (A[:taxels, len(at) :] @ estimate.mean.ravel()).astype(float)
         return Load(self.coupled, noise[0], added, at, estimate)
 
@@ -129,7 +136,7 @@ class _Estimate:
 
 
 class Load:
-    """A tangential load on an array's cells, along x and y; its deviation is computed for who asks."""
+    """A tangential load on an array's cells, along x and y; its deviation is computed where it is asked for."""
 
     def __init__(
         self,

@@ -55,7 +55,7 @@ def test_on_a_healthy_pad_nothing_is_inferred_and_no_bit_changes(monkeypatch):
 @pytest.mark.parametrize(("ceiling", "part"), [(0.8, 0.97), (0.5, 0.85)])
 def test_saturated_taxels_are_above_their_ceiling(ceiling, part, monkeypatch):
     errors = []
-    for sweeps in (10, 0):
+    for sweeps in (100, 0):
         monkeypatch.setattr("tactiled.restore.inpaint.SWEEPS", sweeps)
         for blur, sigma, _, frame, _, truth in presses(1.5, 1.0):
             top = ceiling * frame.max()
@@ -63,6 +63,13 @@ def test_saturated_taxels_are_above_their_ceiling(ceiling, part, monkeypatch):
             errors.append(nrmse(make("auto", blur, sigma)(np.minimum(frame, top), flags).image, truth))
     above, plain = np.mean(np.reshape(errors, (2, -1)), axis=1)
     assert above < part * plain
+
+
+def test_a_dead_row_between_saturated_ones_is_pressed_as_they_are():
+    blur, flags = rubber(1.0, SIZE).blur, np.full((SIZE, SIZE), SATURATED, np.uint8)
+    flags[7] = MISSING
+    image = make("raw", blur, 0.5)(np.where(flags == MISSING, 0, np.float32(50)), flags).image
+    assert image[7].min() > 40
 
 
 def test_noise_of_noisy_taxels_is_no_contact():

@@ -6,6 +6,7 @@ import pytest
 from tactiled.frames import MISSING
 from tactiled.restore.inpaint import Inpainter
 from tactiled.restore.kriging import Gaps
+from tactiled.restore.prior import MAX_KEPT
 from tactiled.restore.scene import Scene
 
 SIGMA = 0.5
@@ -121,3 +122,14 @@ def test_no_spectrum_costs_memory_without_end(covered, monkeypatch):
     for spectrum in scene.prior.spectra[:9]:
         scene.kriging(np.ones((6, 6), np.float32), spectrum)
     assert len(scene.kriging._matrices) <= 3
+
+
+def test_of_many_holes_few_are_kept_and_the_one_that_comes_again_is(covered):
+    kriging, random = Scene(covered((6, 6), 1.5, beyond=True), SIGMA).kriging, np.random.default_rng(1)
+    spectrum = Scene(covered((6, 6), 1.5, beyond=True), SIGMA).prior.spectra[0]
+    dead = np.arange(36).reshape(6, 6) == 8
+    first = kriging.rows(dead, spectrum)
+    for _ in range(2 * MAX_KEPT):
+        kriging.rows(random.random((6, 6)) < 0.3, spectrum)
+        assert kriging.rows(dead, spectrum) is first
+    assert len(kriging._of_taxels) <= MAX_KEPT

@@ -40,6 +40,8 @@ def test_an_even_drag_under_one_press_keeps_its_force(traction):
     readings[:, 9] = np.nan
     without = traction(image, readings, QUIET)
     np.testing.assert_allclose(without.traction, restored.traction, atol=3)
+    readings[:, 9] = 1e25  # beyond any sensor
+    np.testing.assert_array_equal(traction(image, readings, QUIET).traction, without.traction)
 
 
 def test_nothing_drags_where_nothing_presses_or_nothing_is_known(traction):
