@@ -261,16 +261,19 @@ export class Overlay {
 
   /** Draw the cross-section's line, without a probe its ends alone: nobody asked for it. @param {Marks} marks @param {Plane} plane */
   _line({ along, lineAt, probeX }, plane) {
-    const draw = this._pen;
     const at = (lineAt - plane.start(ACROSS[along])) * this._px;
     const long = along === "x" ? this.canvas.width : this.canvas.height;
     const end = Number.isFinite(probeX) ? long / 2 : LINE_END_PX * this._ratio;
-    draw.beginPath();
-    for (const [from, to] of [[0, end], [long - end, long]]) {
-      draw.moveTo(along === "x" ? from : at, along === "x" ? at : from);
-      draw.lineTo(along === "x" ? to : at, along === "x" ? at : to);
-    }
+    this._pen.beginPath();
+    this._stretch(along, at, 0, end);
+    this._stretch(along, at, long - end, long);
     this._twoTone(1, "rgb(0 0 0 / 35%)", "rgb(255 255 255 / 65%)");
+  }
+
+  /** Add a stretch of a straight line to the path. @param {Axis} along @param {number} at device px @param {number} from @param {number} to */
+  _stretch(along, at, from, to) {
+    this._pen.moveTo(along === "x" ? from : at, along === "x" ? at : from);
+    this._pen.lineTo(along === "x" ? to : at, along === "x" ? at : to);
   }
 
   /** @param {number} x device px @param {number} y @param {number} arm */
