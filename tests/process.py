@@ -1,6 +1,7 @@
 """`tactiled run` as a process of its own, seen from outside only."""
 
 import os
+import random
 import re
 import socket
 import subprocess
@@ -11,10 +12,11 @@ from pathlib import Path
 
 
 def free_port(kind=socket.SOCK_STREAM):
-    """A port of this machine that nobody has."""
-    with socket.socket(socket.AF_INET, kind) as one:
-        one.bind(("", 0))
-        return one.getsockname()[1]
+    """A port of this machine that nobody has, nor a connection that begins soon: it gets one from 32768 on."""
+    while True:
+        with socket.socket(socket.AF_INET, kind) as one, suppress(OSError):
+            one.bind(("", random.SystemRandom().randrange(10_000, 32_000)))
+            return one.getsockname()[1]
 
 
 def self_signed(folder):
