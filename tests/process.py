@@ -12,7 +12,7 @@ from pathlib import Path
 
 
 def free_port(kind=socket.SOCK_STREAM):
-    """A port of this machine that nobody has, nor a connection that begins soon: it gets one from 32768 on."""
+    """A port that nobody has, below those that the system gives to new connections."""
     while True:
         with socket.socket(socket.AF_INET, kind) as one, suppress(OSError):
             one.bind(("", random.SystemRandom().randrange(10_000, 32_000)))

@@ -72,11 +72,13 @@ class Kept(Generic[T]):
                 self._made[key] = kept
             return kept[0]
         made = make()
-        for oldest in [*self._made]:
-            sizes = [size for _, size in [*self._made.values()]]
-            if len(sizes) < MAX_KEPT and values + sum(sizes) <= MAX_KEPT_VALUES:
+        held = [*self._made.items()]
+        total = values + sum(size for _, (_, size) in held)
+        for oldest, (_, size) in held:
+            if len(self._made) < MAX_KEPT and total <= MAX_KEPT_VALUES:
                 break
             self._made.pop(oldest, None)
+            total -= size
         self._made[key] = made, values
         return made
 

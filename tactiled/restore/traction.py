@@ -80,6 +80,15 @@ class Traction:
         return Load(self.coupled, noise[0], added, at, estimate)
 
 
+class _Size(NamedTuple):
+    """What follows where friction is of one of SIZES."""
+
+    share: float  # how likely it is
+    size: np.float32
+    factor: Floats32  # (n, n) lower, of the readings' covariance
+    mean: Floats32  # (2, m) kPa
+
+
 class _Estimate:
     """The traction of m cells under `load` (m,), the pressure on them.
 
@@ -94,23 +103,21 @@ class _Estimate:
         of_pressure, *of_traction = np.split(A, 3, axis=1)
         of_pressure, *of_traction = of_pressure * self._spoiled, *(each * load for each in of_traction)
         # Covariances (n, m) of readings and cells, these over their loads.
-        self._felt_wrong, self._felt = of_pressure @ wrong, [each @ friction for each in of_traction]
+        self._felt_wrong, self._felt_friction = of_pressure @ wrong, [each @ friction for each in of_traction]
         self._before = wrong[0, 0], friction[0, 0]
         base = self._felt_wrong @ of_pressure.T
-        more = sum(seen @ each.T for seen, each in zip(self._felt, of_traction, strict=True))
+        more = sum(seen @ each.T for seen, each in zip(self._felt_friction, of_traction, strict=True))
         rounding = len(left) * np.finfo(np.float32).eps * float((base + more).diagonal().max())
         base[np.diag_indices(len(left))] += (variance + rounding).astype(np.float32)
-        self._likely: list[
-            tuple[float, np.float32, Floats32, Floats32]
-        ] = []  # a size's odds, itself, factor, mean
+        self._likely: list[_Size] = []
         fits = [self._fit(base + np.float32(size) * more, left) for size in SIZES]
         odds = np.exp([each[0] - max(fit for fit, *_ in fits) for each in fits])
         self.mean = np.zeros((2, len(load)), np.float32)  # kPa
         for share, size, (_, factor, weight) in zip(odds / odds.sum(), SIZES, fits, strict=True):
             if share >= UNLIKELY and size:
-                found = np.float32(size) * load * np.stack([weight @ each for each in self._felt])
+                found = np.float32(size) * load * np.stack([weight @ each for each in self._felt_friction])
                 self.mean += np.float32(share) * found
-                self._likely.append((share, np.float32(size), factor, found))
+                self._likely.append(_Size(share, np.float32(size), factor, found))
 
     @staticmethod
     def _fit(K: Floats32, left: Floats32) -> tuple[float, Floats32, Floats32]:
@@ -126,8 +133,8 @@ class _Estimate:
         variance = -(self.mean**2)
         (wrong, friction), load, spoiled = self._before, self._load, self._spoiled
         for share, size, factor, found in self._likely:
-            felt = np.hstack([self._felt_wrong, *(size * each for each in self._felt)])
-            seen, _ = lapack.strtrs(factor, felt, lower=1)
+            covariance = np.hstack([self._felt_wrong, *(size * each for each in self._felt_friction)])
+            seen, _ = lapack.strtrs(factor, covariance, lower=1)
             told = np.einsum("ij,ij->j", seen, seen).reshape(3, -1)
             of_pressure = np.maximum(wrong - told[0], 0) * spoiled**2
             own = np.maximum(size * friction - told[1:], 0) * load**2

@@ -88,11 +88,13 @@ def slow_clients(images: Annotated[int, typer.Option(help="For each program.", m
     rows = []
     with loopback.sending(1, RATE_HZ) as config:
         service = loopback.run(config)
-        url = service.url.replace("http", "ws", 1) + "/api/v1/sensors/s0/stream?kinds=restored"
-        for name, ages_in in PROGRAMS.items():
-            for flow in ("newest", "credit"):
-                ages = ages_in(f"{url}&flow={flow}", images, flow == "credit")[BEGIN:]
-                rows.append((name, flow, f"{median(ages):.2f}", f"{max(ages):.2f}"))
-        service.kill()
+        try:
+            url = service.url.replace("http", "ws", 1) + "/api/v1/sensors/s0/stream?kinds=restored"
+            for name, ages_in in PROGRAMS.items():
+                for flow in ("newest", "credit"):
+                    ages = ages_in(f"{url}&flow={flow}", images, flow == "credit")[BEGIN:]
+                    rows.append((name, flow, f"{median(ages):.2f}", f"{max(ages):.2f}"))
+        finally:
+            service.kill()
     print_table(f"Age of images, s; {SLOW_S} s for each", ("program", "flow", "median", "oldest"), rows)
     typer.echo(loopback.heading(1, RATE_HZ))

@@ -125,8 +125,8 @@ def test_no_spectrum_costs_memory_without_end(covered, monkeypatch):
 
 
 def test_of_many_holes_few_are_kept_and_the_one_that_comes_again_is(covered):
-    kriging, random = Scene(covered((6, 6), 1.5, beyond=True), SIGMA).kriging, np.random.default_rng(1)
-    spectrum = Scene(covered((6, 6), 1.5, beyond=True), SIGMA).prior.spectra[0]
+    scene, random = Scene(covered((6, 6), 1.5, beyond=True), SIGMA), np.random.default_rng(1)
+    kriging, spectrum = scene.kriging, scene.prior.spectra[0]
     dead = np.arange(36).reshape(6, 6) == 8
     first = kriging.rows(dead, spectrum)
     for _ in range(2 * MAX_KEPT):
