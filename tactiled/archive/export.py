@@ -18,6 +18,7 @@ from tactiled.contacts.regions import Measures, Region, RegionMeter, measure_uni
 from tactiled.errors import ConfigError
 from tactiled.files import sha256
 from tactiled.frames import FLAG_BITS, Message
+from tactiled.live.contact_search import ImageContacts
 from tactiled.live.pipeline import Pipeline
 from tactiled.recorded.noise import measure
 from tactiled.units import LENGTH, PRESSURE, SHEAR
@@ -62,6 +63,7 @@ class ExportJob(Job):
         recording = Recording(source, router.ids, self.zone)
         meters = self._meters(plan)
         with closing(writer(part.name, self.to)(part, plan)) as target:
+            target.contacts = ImageContacts(plan.array, plan.cells, pipeline.deviation)
             for name, frame in frames(_tapped(recording, target.add_message), router):
                 if name == plan.name:
                     image = pipeline.process(frame)

@@ -15,7 +15,6 @@ from tactiled.archive import writers
 from tactiled.build import SensorPlan
 from tactiled.contacts.regions import Measures
 from tactiled.frames import SensorImage
-from tactiled.live.contact_search import ImageContacts
 from tactiled.messages import ros
 from tactiled.units import nanoseconds
 
@@ -28,7 +27,7 @@ class Rosbag2Writer(writers.Writer):
     storage = StoragePlugin.MCAP
 
     def __init__(self, path: Path, plan: SensorPlan) -> None:
-        self._topics, self._contacts = ros.Topics(plan), ImageContacts(plan.array, plan.cells)
+        self._topics = ros.Topics(plan)
         self._writer = Writer(path, version=VERSION, storage_plugin=self.storage)
         self._empty = True
         with _os_errors():
@@ -40,7 +39,7 @@ class Rosbag2Writer(writers.Writer):
         if self._empty:
             self._write(self._topics.first(image.time), image.time)
             self._empty = False
-        self._write(self._topics.messages(image, self._contacts(image, image.time), regions), image.time)
+        self._write(self._topics.messages(image, self.contacts(image, image.time), regions), image.time)
 
     def _write(self, messages: Iterator[ros.Message], time_s: float) -> None:
         with _os_errors():

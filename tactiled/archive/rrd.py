@@ -14,7 +14,6 @@ from tactiled.archive.writers import Writer
 from tactiled.build import SensorPlan
 from tactiled.contacts.regions import Measures
 from tactiled.frames import SensorImage
-from tactiled.live.contact_search import ImageContacts
 from tactiled.messages import rerun as rerun_images
 
 COPY_BYTES = 1 << 20  # at once
@@ -33,7 +32,6 @@ class RrdWriter(Writer):
         self._stream = rerun_images.new_stream()
         self._stream.save(pipe, default_blueprint=rerun_images.blueprint([plan]))
         self._log = rerun_images.SensorLog(self._stream, plan)
-        self._contacts = ImageContacts(plan.array, plan.cells)
 
     def _copy(self, pipe: Path) -> None:
         """Copy what comes through the pipe into the file; after an error go on without."""
@@ -48,7 +46,7 @@ class RrdWriter(Writer):
 
     def add_image(self, image: SensorImage, regions: Mapping[str, Measures]) -> None:
         """Write one image, its contacts and warnings, and what its regions hold."""
-        self._log.add(image, self._contacts(image, image.time))
+        self._log.add(image, self.contacts(image, image.time))
         self._log.add_regions(regions)
 
     def finish(self, provenance: Mapping[str, Any]) -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any, NamedTuple, Protocol, cast
 
 from tactiled.build import SensorPlan
+from tactiled.contacts.detection import DetectedContact
 from tactiled.contacts.regions import Measures
 from tactiled.errors import ConfigError
 from tactiled.frames import Message, SensorImage
@@ -15,6 +16,7 @@ from tactiled.frames import Message, SensorImage
 class Writer(Protocol):
     """One export under way. Beside `path` it may have temporary files, which are removed after it."""
 
+    contacts: Callable[[SensorImage, float], tuple[DetectedContact, ...]]  # finds them; set before the first image
     close: Callable[[], object]  # lets go of every file, complete or not; once more does nothing
 
     def __init__(self, path: Path, plan: SensorPlan) -> None:

@@ -23,6 +23,7 @@ SKIRT_SHARE = 0.1  # of the highest of these: a lower cell is a skirt, or rings
 MAX_PEAKS = 512  # of an image: the time of all steps grows with the square of their number
 DIP_SHARE = 0.3  # of the same: depth of the dip between two contacts
 PART_SHARE, JOIN_SHARE = 0.4, 0.2  # the same if they were one contact, or two, in the image before
+DIP_DEVIATIONS = 1.5  # of the lower contact's peak: also the depth of a dip; what is in doubt parts no ring
 OUTLINE_SIGMAS = 2.0  # standard deviations of a contact's pressure from its centre to the ellipse that shows it
 
 
@@ -67,7 +68,8 @@ class Finder:
         With `faint` also those too faint to begin: a contact that has begun may become as faint. A contact is
         left out beside an unknown cell (NaN), or if too little of it is left by the `shares` of the cells. At a
         dip near the bound, what was one contact or two in `before`, the `parts` of the last image, stays so.
-        `deviation` gives the cells' (in `unit`); it is called only if there are contacts.
+        `deviation` gives the cells' (in `unit`); it is called only if something presses. No dip that is small
+        beside it parts a contact.
         """
         pressure = np.where(self._felt, np.nan_to_num(np.asarray(image, float)), 0)
         begin, go_on = BEGIN_SIGMAS * noise, CONTINUE_SIGMAS * noise
@@ -81,7 +83,9 @@ class Finder:
         picture = np.where(self._felt, pressure, -np.inf)
         highest = maximum_filter(np.maximum(picture, FAR_PEAK_SHARE * peak), self._near)
         was = np.zeros_like(self.parts) if before is None else before
-        parts = _split(picture, picture > go_on, highest, go_on, was)
+        spread = deviation() if deviation else np.full(pressure.shape, nan)
+        least = np.fmax(go_on, DIP_DEVIATIONS * spread)
+        parts = _split(picture, picture > go_on, highest, least, was)
         tops = np.full(int(parts.max()) + 1, -np.inf)
         np.maximum.at(tops, parts, picture)
         tops[0] = np.inf
@@ -94,10 +98,9 @@ class Finder:
         numbers = np.setdiff1d(parts[parts > 0], cut).tolist()
         if shares is not None:
             numbers = [n for n in numbers if is_known(shares[parts == n].mean(), summed=True)]
-        spread = deviation().ravel() if numbers and deviation else np.full(pressure.size, np.nan)
         cells = ([np.flatnonzero(each == n) for each in (parts, skirts)] for n in numbers)
         most = 0.5 * float(np.maximum(pressure, 0).sum())
-        contacts = [self._measure(pressure.ravel(), spread, most, scale, *each) for each in cells]
+        contacts = [self._measure(pressure.ravel(), spread.ravel(), most, scale, *each) for each in cells]
         return sorted(contacts, key=lambda contact: -contact.force)
 
     def _measure(
@@ -145,10 +148,11 @@ def _ends(array: Array, cells: Raster) -> Mask:
     return ends
 
 
-def _split(picture: Floats, pressed: Mask, highest: Floats, least: float, was: Labels) -> Labels:
+def _split(picture: Floats, pressed: Mask, highest: Floats, least: Reals, was: Labels) -> Labels:
     """Number the pressed squares by contact: basins around peaks with a dip or a skirt between them; 0 elsewhere.
 
-    A dip has at least the depth `least`. `was` are the squares' numbers in the image before, 0 for none.
+    A dip has at least the depth `least` of the lower peak's square. `was` are the squares' numbers in the image
+    before, 0 for none.
     """
     from skimage.measure import label
     from skimage.morphology import local_maxima
@@ -160,12 +164,12 @@ def _split(picture: Floats, pressed: Mask, highest: Floats, least: float, was: L
     square = np.zeros(int(peaks.max()) + 1, np.int64)  # of each peak
     square[peaks.ravel()] = np.arange(peaks.size)
     merged = np.arange(len(square))
-    top, high_near, was_at = (each.ravel()[square] for each in (picture, highest, was))
+    top, high_near, shallow, was_at = (each.ravel()[square] for each in (picture, highest, least, was))
     for one, other, saddle in _saddles(picture, basins):
         low, high = sorted((merged[one], merged[other]), key=lambda each: (top[each], each))
         both = was_at[low] and was_at[high]
         share = (PART_SHARE if was_at[low] == was_at[high] else JOIN_SHARE) if both else DIP_SHARE
-        deep = top[low] - saddle >= max(least, share * high_near[low])
+        deep = top[low] - saddle >= max(shallow[low], share * high_near[low])
         if low != high and not (deep or saddle < SKIRT_SHARE * high_near[low] < top[low]):
             merged[merged == low] = high
     return merged[basins]

@@ -5,6 +5,7 @@ Of the frames before it depends on the hysteresis alone, where the skin has a mo
 
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 from time import perf_counter
 from typing import NamedTuple
@@ -121,7 +122,10 @@ class Playback:
 
     def contacts(self, image: SensorImage) -> tuple[DetectedContact, ...]:
         """Contacts of an image, strongest first, numbered from 1: there is no frame before to follow them from."""
-        contacts = self._finder(image.restored, image.cell_noise, image.unit, shares=image.shares)
+        spread = partial(self._chain.deviation, image)
+        contacts = self._finder(
+            image.restored, image.cell_noise, image.unit, shares=image.shares, deviation=spread
+        )
         return tuple(replace(each, id=n) for n, each in enumerate(contacts, 1))
 
     def overview(self) -> Overview:

@@ -57,11 +57,12 @@ def press_on(skin, pressure, noise, random):
     clean = skin.surface.sense(pressure).reshape(SIDE, SIDE)
     sigma = noise * float(clean.max())
     frame = (clean + random.normal(0, sigma, clean.shape)).astype(np.float32)
-    done = make("auto", skin.blur, sigma)(frame)
+    restorer = make("auto", skin.blur, sigma)
+    done = restorer(frame)
     total = pressure.sum()
     centre = np.array([(pressure * x).sum(), (pressure * y).sum()]) / total + (SIDE - 1) / 2
     find = Finder(skin.array, raster(skin.array, 1))
-    restored = find(done.image, sigma * max(done.noise_gain, 1.0))
+    restored = find(done.image, sigma * max(done.noise_gain, 1.0), deviation=restorer.deviation)
     return centre, total * skin.surface.grain**2 * 1e-3, (find(frame, sigma), restored)
 
 

@@ -109,6 +109,7 @@ def test_every_contact_has_a_wrench_whose_moment_is_that_of_its_place(tmp_path, 
     last = contacts[-1]
     assert last["force"] == pytest.approx(1.4, abs=0.1)  # four taxels of 1 mm2 at 350 kPa
     assert (last["x_mm"], last["y_mm"]) == pytest.approx((3.5, 4.5), abs=0.05)
+    assert 0.001 < last["force_deviation"] < 0.7
 
 
 def test_what_the_sensor_s_regions_hold_has_a_topic(tmp_path, config, lossy, keep_regions):

@@ -282,5 +282,8 @@ def test_a_ring_whose_dips_are_near_the_bound_keeps_its_ids_until_a_dip_is_clear
             image = noisy(100 * ring * (1 + 0.177 * wave), 2.0, seed)
             named = track(find(image, NOISE, before=find.parts), 0.05 * seed, 5 * NOISE)
             assert {each.id for each in named} == ids
-    assert len(find(100 * ring * (1 + 0.32 * wave), NOISE, before=find.parts)) == 4
+    dips = 100 * ring * (1 + 0.32 * wave)  # 57 deep
+    doubts = (np.full_like(ring, each) for each in (35, 40))
+    assert [len(find(dips, NOISE, deviation=lambda each=each: each)) for each in doubts] == [4, 1]
+    assert len(find(dips, NOISE, before=find.parts)) == 4
     assert len(find(100 * ring, NOISE, before=find.parts)) == 1

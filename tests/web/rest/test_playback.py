@@ -149,6 +149,7 @@ def test_frames_by_position_and_in_steps(client):
     assert [each.sequence for each in messages] == [10, 10, 30, 30, 50, 50]
     contacts = client.get("/a.log/frames/50", params=PALM).json()["contacts"]
     assert [each["id"] for each in contacts] == [1]
+    assert 0 < contacts[0]["force_deviation"] < 0.5 * contacts[0]["force"]
     (raw, same) = images(client, "a.log", first=50, method="raw")[2]
     np.testing.assert_array_equal(raw.values, same.values)
 
