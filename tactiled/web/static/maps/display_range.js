@@ -2,8 +2,8 @@
 
 const STEPS = [1, 1.2, 1.5, 2, 2.5, 3, 4, 5, 6, 8, 10];
 const FALL_S = 10; // the range rises at once and falls by a tenth of the distance a second,
-const FAST_FALL_S = 1; // or by all of it where a press fills less than LOW of what the range holds
-const LOW = 0.35; // which is a quarter of the range or more, as it holds no less than KEEP_ABOVE of itself
+const LOW = 0.4; // or at once where a press fills less than this of what the range holds (a quarter of the range, as that
+const LIFT_S = 0.2; // stays down to HYSTERESIS times 3 over 4 of itself) for longer than this: lifting takes a moment
 const HYSTERESIS = 0.85; // a smaller range is taken only once the data fill less than this much of it
 const KEEP_ABOVE = 0.709; // of a range, above which no smaller one is taken: HYSTERESIS times 2.5 over 3, the nearest two of STEPS
 const MIN_TOP = 1; // kPa, or counts
@@ -41,6 +41,7 @@ export class DisplayRange {
     this.floor = 0;
     this._peak = 0;
     this._time = 0;
+    this._held = 0; // s: when a press last filled enough of it, or nothing pressed
   }
 
   /** Forget what was seen, as for another sensor; a fixed range stays. */
@@ -61,8 +62,9 @@ export class DisplayRange {
     this._time = time;
     const least = Math.max(this._minTop, 15 * noise);
     const needed = Math.max(peak, least);
-    const fall_s = peak > least && peak < LOW * this._peak ? FAST_FALL_S : FALL_S;
-    this._peak = Math.max(needed, needed + (this._peak - needed) * Math.exp(-elapsed / fall_s));
+    this._peak = Math.max(needed, needed + (this._peak - needed) * Math.exp(-elapsed / FALL_S));
+    if (peak <= least || peak >= LOW * this._peak || time < this._held) this._held = time;
+    else if (time - this._held > LIFT_S) this._peak = peak / LOW;
     if (this.auto) this.high = steadyTop(this.high, this._peak);
     this._setFloor(noise);
   }
