@@ -23,7 +23,7 @@ SKIRT_SHARE = 0.1  # of the highest of these: a lower cell is a skirt, or rings
 MAX_PEAKS = 512  # of an image: the time of all steps grows with the square of their number
 DIP_SHARE = 0.3  # of the same: depth of the dip between two contacts
 PART_SHARE, JOIN_SHARE = 0.4, 0.2  # the same if they were one contact, or two, in the image before
-DIP_DEVIATIONS = 1.5  # of the lower contact's peak: also the depth of a dip; what is in doubt parts no ring
+DIP_DEVIATIONS, CLEAR_SHARE = 1.5, 0.5  # of the lower peak's, but of no more than this share of it: also the depth
 OUTLINE_SIGMAS = 2.0  # standard deviations of a contact's pressure from its centre to the ellipse that shows it
 
 
@@ -62,6 +62,7 @@ class Finder:
         shares: Floats32 | None = None,
         before: Labels | None = None,
         deviation: Callable[[], Floats32] | None = None,
+        blurred: bool = False,
     ) -> list[DetectedContact]:
         """Contacts of an image (in `unit`), the strongest first, all with id 0; `noise` is a cell's.
 
@@ -69,7 +70,7 @@ class Finder:
         left out beside an unknown cell (NaN), or if too little of it is left by the `shares` of the cells. At a
         dip near the bound, what was one contact or two in `before`, the `parts` of the last image, stays so.
         `deviation` gives the cells' (in `unit`); it is called only if something presses. No dip that is small
-        beside it parts a contact.
+        beside it parts a contact, unless the image is `blurred`, as the raw one is: blur makes no dip.
         """
         pressure = np.where(self._felt, np.nan_to_num(np.asarray(image, float)), 0)
         begin, go_on = BEGIN_SIGMAS * noise, CONTINUE_SIGMAS * noise
@@ -84,7 +85,8 @@ class Finder:
         highest = maximum_filter(np.maximum(picture, FAR_PEAK_SHARE * peak), self._near)
         was = np.zeros_like(self.parts) if before is None else before
         spread = deviation() if deviation else np.full(pressure.shape, nan)
-        least = np.fmax(go_on, DIP_DEVIATIONS * spread)
+        doubt = 0.0 if blurred else np.fmin(DIP_DEVIATIONS * spread, CLEAR_SHARE * picture)
+        least = np.fmax(np.full_like(picture, go_on), doubt)
         parts = _split(picture, picture > go_on, highest, least, was)
         tops = np.full(int(parts.max()) + 1, -np.inf)
         np.maximum.at(tops, parts, picture)

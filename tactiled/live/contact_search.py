@@ -35,7 +35,8 @@ class ImageContacts:
         noise = image.cell_noise
         find, holds = self._finder, self._tracker.holds
         spread = partial(self._deviation, image) if self._deviation else None
-        contacts = find(image.restored, noise, image.unit, holds, image.shares, find.parts, spread)
+        raw = image.method == "raw"
+        contacts = find(image.restored, noise, image.unit, holds, image.shares, find.parts, spread, raw)
         return tuple(self._tracker(contacts, time_s, BEGIN_SIGMAS * noise))
 
 

@@ -122,11 +122,11 @@ class Playback:
 
     def contacts(self, image: SensorImage) -> tuple[DetectedContact, ...]:
         """Contacts of an image, strongest first, numbered from 1: there is no frame before to follow them from."""
-        spread = partial(self._chain.deviation, image)
-        contacts = self._finder(
-            image.restored, image.cell_noise, image.unit, shares=image.shares, deviation=spread
+        spread, raw = partial(self._chain.deviation, image), image.method == "raw"
+        found = self._finder(
+            image.restored, image.cell_noise, image.unit, shares=image.shares, deviation=spread, blurred=raw
         )
-        return tuple(replace(each, id=n) for n, each in enumerate(contacts, 1))
+        return tuple(replace(each, id=n) for n, each in enumerate(found, 1))
 
     def overview(self) -> Overview:
         """Force over the whole recording, as far as it was read; made anew where it has more frames now."""

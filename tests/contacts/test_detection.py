@@ -282,8 +282,13 @@ def test_a_ring_whose_dips_are_near_the_bound_keeps_its_ids_until_a_dip_is_clear
             image = noisy(100 * ring * (1 + 0.177 * wave), 2.0, seed)
             named = track(find(image, NOISE, before=find.parts), 0.05 * seed, 5 * NOISE)
             assert {each.id for each in named} == ids
-    dips = 100 * ring * (1 + 0.32 * wave)  # 57 deep
-    doubts = (np.full_like(ring, each) for each in (35, 40))
-    assert [len(find(dips, NOISE, deviation=lambda each=each: each)) for each in doubts] == [4, 1]
+
+    def parted(depth, deviation, blurred=False):
+        image = 100 * ring * (1 + depth * wave)
+        return len(find(image, NOISE, deviation=lambda: np.full_like(ring, deviation), blurred=blurred))
+
+    assert (parted(0.29, 33), parted(0.29, 40), parted(0.29, 40, blurred=True)) == (4, 1, 4)
+    assert parted(0.4, 200) == 4  # a dip of half of the peak
+    dips = 100 * ring * (1 + 0.32 * wave)
     assert len(find(dips, NOISE, before=find.parts)) == 4
     assert len(find(100 * ring, NOISE, before=find.parts)) == 1
