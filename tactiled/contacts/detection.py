@@ -85,7 +85,7 @@ class Finder:
         highest = maximum_filter(np.maximum(picture, FAR_PEAK_SHARE * peak), self._near)
         was = np.zeros_like(self.parts) if before is None else before
         spread = deviation() if deviation else np.full(pressure.shape, nan)
-        doubt = 0.0 if blurred else np.fmin(DIP_DEVIATIONS * spread, CLEAR_SHARE * picture)
+        doubt = 0.0 if blurred else np.minimum(DIP_DEVIATIONS * spread, CLEAR_SHARE * picture)
         least = np.fmax(np.full_like(picture, go_on), doubt)
         parts = _split(picture, picture > go_on, highest, least, was)
         tops = np.full(int(parts.max()) + 1, -np.inf)
