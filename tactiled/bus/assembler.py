@@ -11,7 +11,7 @@ from tactiled.bus.batch import Batch
 from tactiled.bus.codec import NO_SEQUENCE, Codec
 from tactiled.bus.open_frame import Cycle, OpenFrame
 from tactiled.errors import CodecError
-from tactiled.frames import BAD, MISSING, Counts, Loss, Message, RawFrame
+from tactiled.frames import MISSING, Counts, Loss, Message, RawFrame
 
 SILENCE_S = 0.05  # of a silent bus, after which `flush` is to close an incomplete frame
 BUSY_S = 0.5  # the same without a message of the sensor, while others keep the bus busy
@@ -208,7 +208,7 @@ class Assembler:
             for segment in np.flatnonzero(~frame.present).tolist():
                 flags[self.codec.span(segment)] = MISSING
         if frame.bad:
-            flags[frame.bad] |= BAD
+            flags[frame.bad] |= self.codec.bad_flag
         return flags
 
 

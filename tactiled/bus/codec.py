@@ -1,5 +1,6 @@
 """What a codec and a skin are; pure functions of bytes, without I/O, clock or thread."""
 
+import json
 import operator
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -14,7 +15,7 @@ from pydantic import ConfigDict
 from tactiled.bus.batch import Batch, Key
 from tactiled.bus.polling import Polling
 from tactiled.errors import CodecError, ConfigError
-from tactiled.frames import Counts, Message, Reading
+from tactiled.frames import BAD, Counts, Message, Reading
 from tactiled.geometry import Array
 
 NO_SEQUENCE = -1
@@ -72,6 +73,7 @@ class Codec(ABC):
     """Messages of one array to counts and back."""
 
     modulus: int | None = None  # number at which the sequence counter wraps; None where the skin sends none
+    bad_flag = BAD  # of the taxels that its readings call bad; MISSING where a frame just lacks them
     source: bytes = b""  # the file beside the settings that it was made from
 
     @cached_property
@@ -200,6 +202,11 @@ class Match:
     description: str  # one phrase
     notes: tuple[str, ...] = ()  # what the bus does not tell
     pitch_mm: float = 4.0  # a guess
+
+
+def setting_text(key: str, value: object) -> str:
+    """Give a codec's setting as a configuration has it: JSON is TOML here, and ids are hexadecimal."""
+    return f"{value:#x}" if key == "base_id" else json.dumps(value)
 
 
 class Traffic(dict[Key, list[Message]]):

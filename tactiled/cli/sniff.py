@@ -1,6 +1,5 @@
 """`tactiled sniff`: which skins send on a bus, and a configuration for them."""
 
-import json
 import time
 from collections import Counter
 from contextlib import closing
@@ -10,6 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
+from tactiled.bus.codec import setting_text
 from tactiled.bus.reader import open_bus
 from tactiled.bus.recording import Recording
 from tactiled.bus.skins import load
@@ -182,5 +182,5 @@ def _sensor(one: Sender, name: str, bus: str) -> str:
 
 
 def _lines(settings: dict[str, Any]) -> str:
-    """Keys and values in TOML, whose strings, numbers, booleans and lists of them are JSON's."""
-    return "\n".join(f"{key} = {json.dumps(value)}" for key, value in settings.items())
+    """Keys and values in TOML."""
+    return "\n".join(f"{key} = {setting_text(key, value)}" for key, value in settings.items())

@@ -11,7 +11,7 @@ from tactiled.build import configured_file, make_array, make_calibration, make_c
 from tactiled.bus.arrivals import decoded
 from tactiled.bus.assembler import RESTART_S
 from tactiled.bus.batch import Batch
-from tactiled.bus.codec import NO_SEQUENCE, Codec, whole_counts
+from tactiled.bus.codec import NO_SEQUENCE, Codec, setting_text, whole_counts
 from tactiled.bus.grid_shape import alike_shapes
 from tactiled.bus.router import Router
 from tactiled.bus.sniff import SETTLED_FRAMES, Survey, mean_rate_hz, survey
@@ -117,9 +117,9 @@ def _other_settings(place: str, sensor: schema.Sensor, result: Survey, codec: Co
             others = {key: each for key, each in settings if own[key] != each}
             sends = f"no complete frame: {sender.match.description} sends"
             if others:
-                change = ", ".join(f"{key} = {str(each).lower()}" for key, each in others.items())
+                change = ", ".join(f"{key} = {setting_text(key, each)}" for key, each in others.items())
                 key = next(iter(others))
-                return Finding(f"{place}.codec.{key}", str(getattr(configured, key)).lower(), f"{sends}: {change}")
+                return Finding(f"{place}.codec.{key}", setting_text(key, own[key]), f"{sends}: {change}")
             if set(sender.match.keys) & codec.ids:
                 sizes = f"{sender.match.codec.segments} messages a frame, and {codec.segments} are expected"
                 return Finding(f"{place}.array", "", f"{sends} {sizes}")

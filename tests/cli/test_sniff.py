@@ -61,6 +61,7 @@ def test_a_written_configuration_makes_the_codec_that_was_recognised(codec):
     assert make_array(sensor).size == codec.size
     gain = -0.05 if isinstance(codec, Icub) else 0.05  # an iCub's counts fall under pressure
     assert f"# kpa_per_count = {gain}  # EDIT" in text
+    assert "base_id" not in text or f"base_id = {codec.base_id:#x}" in text
 
 
 def test_two_of_a_kind_have_names_of_their_own():

@@ -122,6 +122,12 @@ FAULTS = {
         "sensor.a.codec.array_id = 0: no complete frame: packed layout, CAN FD, array 2 at 0x500, 12 bits a taxel"
         " sends: array_id = 2",
     ),
+    "another id": (
+        traffic(Packed(30, 12, fd=True, base_id=0x640)),
+        {},
+        "a.codec.base_id = 0x500: no complete frame: packed layout, CAN FD, array 0 at 0x640, 12 bits a taxel "
+        "sends: base_id = 0x640",
+    ),
     "classic for CAN FD": (traffic(Packed(30, 12)), {}, "12 bits a taxel sends: fd = false"),
     "CAN FD for classic": (HEALTHY, {"codec": 'name = "packed"'}, "12 bits a taxel sends: fd = true"),
     "another size": (

@@ -70,6 +70,7 @@ def test_a_frame_over_http_is_served_with_its_time_and_unknown_taxels(service, u
     expected = VALUES.astype(np.float32)
     expected[1, 2] = np.nan
     np.testing.assert_array_equal(first.raw, expected)
+    assert [each.code for each in first.warnings] == ["missing"]
     assert post(url, {"values": VALUES.ravel().tolist()}).json() == {"sequence": 70_001}
     image = shown(service, lambda image: image.sequence == first.sequence + 1)
     np.testing.assert_array_equal(image.raw, VALUES.astype(np.float32))
@@ -77,6 +78,14 @@ def test_a_frame_over_http_is_served_with_its_time_and_unknown_taxels(service, u
     assert post(url, {"values": rows, "sequence": 70_005}).status_code == 202
     image = shown(service, lambda image: image.sequence == first.sequence + 5)
     assert image.loss.lost == first.loss.lost + 3 * 2  # messages of the frames between
+
+
+def test_cells_whose_taxels_a_frame_lacks_are_unknown(service, url):
+    rows = [3 * [None] + [50.0, 50.0]] * 3
+    assert post(url, {"values": rows, "time": 1001.0}).status_code == 202
+    restored = shown(service, lambda image: image.time == 1001.0).restored
+    assert np.isnan(restored[:, 0]).all()
+    assert np.isfinite(restored[:, -1]).all()
 
 
 def test_a_websocket_takes_json_and_bytes(service, url):

@@ -23,7 +23,7 @@ from tactiled.bus.codec import (
 )
 from tactiled.bus.codecs.packed import squarest
 from tactiled.errors import CodecError
-from tactiled.frames import Counts, Message
+from tactiled.frames import MISSING, Counts, Message
 from tactiled.geometry import Array
 
 ID = 0x600
@@ -34,11 +34,11 @@ MAX_TAXELS = TAXELS << 16
 
 @dataclass(frozen=True)
 class Pushed(Codec):
-    """The layout of an array of `taxels`; a value that is not finite makes its taxel bad."""
+    """The layout of an array of `taxels`; where a value is not finite, the frame lacks its taxel."""
 
     taxels: int
 
-    modulus, full_scale = 1 << 32, 0xFFFF
+    modulus, full_scale, bad_flag = 1 << 32, 0xFFFF, MISSING
 
     @cached_property
     def size(self) -> int:

@@ -30,7 +30,7 @@ COOKIE_ATTRIBUTES = "; HttpOnly; SameSite=Strict; Path=/"
 LOOPBACK_HOST = re.compile(
     rf"(?:{'|'.join(map(re.escape, sorted(LOOPBACK - {'::1'})))}|\[::1\])(?::[0-9]{{1,5}})?", re.IGNORECASE
 )
-HOW = "Authorization: Bearer TOKEN, or open /?token=TOKEN in a browser"
+HOW = "Authorization: Bearer TOKEN, or open / in a browser"
 PREFLIGHT = {
     "Access-Control-Allow-Methods": "GET, POST, PUT, PATCH, DELETE",
     "Access-Control-Allow-Headers": "Authorization, Content-Type, Accept, If-None-Match, Range",

@@ -26,7 +26,10 @@ PROBLEMS = {
         "the body is no JSON text or only a part of a file, or Range no range of bytes",
         "body: no JSON at character 0: Expecting value",
     ),
-    401: ("no token, where one is needed", "a token is needed: Authorization: Bearer TOKEN, or /?token=TOKEN"),
+    401: (
+        "no token, where one is needed",
+        "a token is needed: Authorization: Bearer TOKEN, or open / in a browser",
+    ),
     403: (
         "a token that reads only; a page of another site; on loopback, another host name than loopback's",
         "this token reads only: show the control token to change anything",
