@@ -24,6 +24,7 @@ MAX_PEAKS = 512  # of an image: the time of all steps grows with the square of t
 DIP_SHARE = 0.3  # of the same: depth of the dip between two contacts
 PART_SHARE, JOIN_SHARE = 0.4, 0.2  # the same if they were one contact, or two, in the image before
 DIP_DEVIATIONS, CLEAR_SHARE = 1.5, 0.5  # of the lower peak's, but of no more than this share of it: also the depth
+SPECK_SHARE = 0.2  # of the highest near it: a lower peak that is less than DIP_DEVIATIONS of itself is a speck
 OUTLINE_SIGMAS = 2.0  # standard deviations of a contact's pressure from its centre to the ellipse that shows it
 
 
@@ -70,7 +71,8 @@ class Finder:
         left out beside an unknown cell (NaN), or if too little of it is left by the `shares` of the cells. At a
         dip near the bound, what was one contact or two in `before`, the `parts` of the last image, stays so.
         `deviation` gives the cells' (in `unit`); it is called only if something presses. No dip that is small
-        beside it parts a contact, unless the image is `blurred`, as the raw one is: blur makes no dip.
+        beside it parts a contact, and no faint peak near a strong one that is small beside it is one, unless the
+        image is `blurred`, as the raw one is: blur makes no dip and no speck.
         """
         pressure = np.where(self._felt, np.nan_to_num(np.asarray(image, float)), 0)
         begin, go_on = BEGIN_SIGMAS * noise, CONTINUE_SIGMAS * noise
@@ -91,7 +93,11 @@ class Finder:
         tops = np.full(int(parts.max()) + 1, -np.inf)
         np.maximum.at(tops, parts, picture)
         tops[0] = np.inf
+        specks = picture <= (0.0 if blurred else np.minimum(DIP_DEVIATIONS * spread, SPECK_SHARE * highest))
+        clear = np.zeros(len(tops), bool)
+        clear[parts[~specks]] = True
         threshold = np.where(tops > begin, begin, go_on if faint else np.inf)
+        threshold[~clear] = np.inf
         parts[picture <= np.maximum(SKIRT_SHARE * np.maximum(highest, tops[parts]), threshold[parts])] = 0
         self.parts = parts
         skirts = np.where(self._felt, expand_labels(parts, 1), 0)

@@ -270,6 +270,16 @@ def test_a_contact_at_the_threshold_of_the_noise_has_one_id(find):
     assert sum(len(contacts) == 1 for contacts in named) > 25
 
 
+def test_a_faint_speck_near_a_strong_contact_is_none_where_it_is_in_doubt(find):
+    x, y = ARRAY.positions.T
+    image = np.float32(discs(x, y, (7, 7, 100), (14, 7, 15)).reshape(SIDE, SIDE))
+
+    def found(deviation, blurred=False):
+        return len(find(image, NOISE, deviation=lambda: np.full_like(image, deviation), blurred=blurred))
+
+    assert (found(9), found(11), found(11, blurred=True)) == (2, 1, 2)
+
+
 def test_a_ring_whose_dips_are_near_the_bound_keeps_its_ids_until_a_dip_is_clear(find):
     around = ARRAY.positions - (SIDE - 1) / 2
     angle = np.arctan2(around[:, 1], around[:, 0])
