@@ -1,16 +1,22 @@
 """Train the network of `tactiled.restore.learned`, on random scenes over arrays and covers of many kinds.
 
-Needs JAX (pip install 'tactiled[train]'), as nothing else here does. It is trained on no array and no scene of
-`tests.bench border` or `judge`, and on no cover of `border`; `judge` has three that it saw, of 1, 2 and 3 pitches.
-The weights in the package took 120 minutes on one core in four runs, each from weights of the last (`--begin`).
-The last two had RATE 1e-3 and 8e-4, BATCH 40, and drew large grids of a cell a pitch 2.2 and 4 times as often.
+It is trained on no array and no scene of `tests.bench border` or `judge`, and on no cover of `border`; `judge` has
+three that it saw, of 1, 2 and 3 pitches. A C compiler makes what takes the time, train_step.c.
+
+The weights in the package took 120 minutes on one core in four runs, each from weights of the last (`--begin`), by
+automatic differentiation, whose steps took eight times as long: the last two had rates of 1e-3 and 8e-4, and drew
+large grids 2.2 and 4 times as often. Then, as below, 23 minutes with a rate of 1e-3 and 13 with 7e-4 on skins that
+may be wrong (large grids 4 times as often), and 21 with 6e-4 on all.
 """
 
+import ctypes
+import subprocess
 import time
 from dataclasses import replace
 from functools import cache, partial
 from itertools import product
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Annotated
 
 import numpy as np
@@ -52,11 +58,16 @@ FIELD, PRESSED = 18, 0.2  # pitches from a scene's middle in which the array is 
 MIN_FRAME, MIN_INSIDE = 0.02, 0.1  # of the scene's peak: less on the taxels, or on the array's cells, is no sample
 NOISE = (0.0005, 0.25)  # of the frame's peak, log-uniform
 NOISE_ERROR = 0.07  # standard deviation of what is believed of the noise
+COVERS, NEAR_COVERS = 8, 6  # of each array: of skins that may be wrong, and of such as are nearly as their models
 DRAWS = 4  # of noise and faults, of one scene
 FAULTY = 0.05  # share of frames with each: gains wrong, taxels out of place, taxels that read zero, a ceiling
 GAIN_ERROR, PLACE_ERROR, DEAD, CEILING = 0.1, 0.3, 0.1, 0.5  # standard deviations, shares: at most
+NEARLY = 0.96, 1.04  # times the thickness that the model has, of a skin that is nearly as its model
+NEAR_SHARE, NEAR_ERROR = 0.2, 0.01  # of its frames with gains that are wrong by so much
 STAGES, FILTERS, HIDDEN = 3, 24, 32
-BATCH, RATE, WARM_UP, FORGET = 64, 2e-3, 200, 0.998
+BLOCKS, LANES = 6, 8  # of a step: skins, and frames of each
+RATE, LAST_RATE, WARM_UP, FORGET = 6e-4, 0.02, 500, 0.9995  # the last rate is a share of it
+LARGE = (3, 4, 5), 2.5  # of GRIDS: are drawn so much more often
 EARLIER, AROUND = 0.15, 0.1  # weights of the stages before the last, and of what lies beyond the array
 FLOOR = 0.006  # relative error that counts as none
 WITHIN, DOUBT, UNPRESSED = 0.96, 0.1, 0.1  # share of errors within two deviations; weights of these
@@ -84,10 +95,10 @@ def arrays():
 class Skin:
     """An array under a cover, one that its model is wrong about, and what the network sees of it."""
 
-    def __init__(self, array, refine, thickness, material, random):
-        self.array = array
+    def __init__(self, array, refine, thickness, material, random, nearly=False):
+        self.array, self._faulty = array, nearly_right if nearly else faulty
         thin, wrong = (Stack((Layer(t, *MATERIALS[material]), Layer(1.0, 980.0, 0.3))) for t in
-                       (thickness, thickness * random.choice(WRONG)))  # fmt: skip
+                       (thickness, thickness * random.choice(NEARLY if nearly else WRONG)))  # fmt: skip
         self.scene = Scene(make(cached(thin), array, refine), 1.0)  # in units of the noise
         self._wiener, self._conditions = Wiener(self.scene), Conditions(self.scene)
         self._exact, self._wrong = (self._sensed(solve(each, "layered")) for each in (thin, wrong))
@@ -145,7 +156,7 @@ class Skin:
         while len(every) < count:
             clean, truth = self.draw(random)
             for _ in range(DRAWS):
-                frame = faulty(clean, random)
+                frame = self._faulty(clean, random)
                 noise = np.exp(random.uniform(*np.log(NOISE))) * frame.max()
                 believed = noise * np.exp(random.normal(0, NOISE_ERROR))
                 frame = (frame + noise * random.normal(size=frame.shape)) / believed
@@ -159,6 +170,11 @@ class Skin:
         linear = self._wiener()
         scale = self._conditions(self._wiener)
         return linear / scale, self.scene.c / scale, self._conditions.values.copy(), scale
+
+
+def nearly_right(frame, random):
+    """Give the frame as it is, or with gains that are slightly wrong."""
+    return frame * (1 + NEAR_ERROR * random.normal(size=frame.shape)) if random.random() < NEAR_SHARE else frame
 
 
 def faulty(frame, random):
@@ -180,22 +196,22 @@ SAMPLES = "linear", "c", "conditions", "noise", "truths"
 FIXED = "maps", "gain", "V", "W"  # of a skin
 
 
-def skins(covers, seed, array=None):
-    """Every array under some of the covers that are not too thick for its cells."""
+def skins(covers, seed, array=None, nearly=False):
+    """Every array under some of the covers that are not too thick for its cells, right or nearly so."""
     for number, (taxels, refine) in enumerate(arrays()):
         thick = [each for each in THICKNESSES if each * refine <= MAX_CELLS_THICK]
         for n, thickness in enumerate(np.random.default_rng([seed, number]).permutation(thick)[:covers]):
             if array in (None, number):
                 random = np.random.default_rng([seed, number, n, 1])
-                yield (number, n), partial(Skin, taxels, refine, thickness, (n + number) % 2, random)
+                yield (number, n), partial(Skin, taxels, refine, thickness, (n + number) % 2, random, nearly)
 
 
-def samples(covers, frames, seed, cache, array=None):
+def samples(covers, frames, seed, cache, array=None, nearly=False):
     """Draw what is not in the folder yet: a file of samples for each skin. Gives the files."""
     cache.mkdir(parents=True, exist_ok=True)
     paths = []
-    for (number, n), skin_of in skins(covers, seed, array):
-        path = cache / f"skin_{number}_{n}_{frames}_{seed}.npz"
+    for (number, n), skin_of in skins(covers, seed, array, nearly):
+        path = cache / f"{'near' if nearly else 'skin'}_{number}_{n}_{frames}_{seed}.npz"
         if not path.exists():
             skin = skin_of()
             fields = (*skin.samples(frames, np.random.default_rng([seed, number, n])), skin.maps, *skin.bases)
@@ -204,74 +220,103 @@ def samples(covers, frames, seed, cache, array=None):
     return paths
 
 
-class Bucket:
-    """Samples of all skins whose surfaces have one shape."""
-
-    def __init__(self, skins):
-        self._samples = [np.concatenate([skin[name] for skin in skins]) for name in SAMPLES]
-        self._fixed = [np.array([skin[name] for skin in skins]) for name in FIXED]
-        self._skin = np.repeat(np.arange(len(skins)), [len(skin["noise"]) for skin in skins])
-        self.size = len(self._skin)
-
-    def batch(self, random, size=BATCH):
-        """What the network sees of some, and the truths."""
-        some = random.integers(self.size, size=size)
-        *seen, truths = (each[some] for each in self._samples)
-        return (*seen, *(each[self._skin[some]] for each in self._fixed)), truths
+def load(path):
+    """Load the samples of a skin, float32."""
+    with np.load(path) as stored:
+        return {name: np.ascontiguousarray(stored[name], np.float32) for name in (*SAMPLES, *FIXED)}
 
 
-def buckets(paths):
-    """Load samples, those of each shape together."""
-    every = [dict(np.load(path)) for path in paths]
-    shapes = sorted({each["linear"].shape[1:] for each in every})
-    return [Bucket([each for each in every if each["linear"].shape[1:] == shape]) for shape in shapes]
+def block(skin, random):
+    """Choose LANES samples of a skin."""
+    some = random.integers(len(skin["noise"]), size=LANES)
+    return {name: skin[name][some] if name in SAMPLES else skin[name] for name in skin}
 
 
-def network(w, inputs, xp=np):
+def network(w, inputs):
     """Give the images (S, B, R, C) of all stages, and the logarithm of the last one's deviation (B, R, C).
 
-    `inputs` are those of a batch, `xp` is numpy or jax.numpy.
+    `inputs` are those of a batch. Training has the same and its gradient in train_step.c.
     """
     linear, c, conditions, noise, maps, gain, V, W = inputs
     (size, rows, columns), (stages, filters) = linear.shape, w["redraw"].shape[:2]
-    tuned = _hidden(w, conditions, xp) @ w["tune"]
+    tuned = _hidden(w, conditions)[-1] @ w["tune"]
     tuned, doubt = tuned[:, :-1].reshape(size, stages, 2 * filters + 1), tuned[:, -1]
-    consistent, redrawn, images, seen = xp.maximum(linear, 0), linear, [], None
+    consistent, redrawn, images, seen = np.maximum(linear, 0), linear, [], None
     edges, shifts = ((0, 0), (0, 0), (1, 1), (1, 1)), list(product(range(KERNEL), repeat=2))
 
     def drawn(kernels):
         """Add up what the filters' outputs are drawn with."""
-        parts = xp.pad((kernels @ seen.reshape(filters, -1)).reshape(-1, size, rows, columns), edges)
+        parts = np.pad((kernels @ seen.reshape(filters, -1)).reshape(-1, size, rows, columns), edges)
         summands = [parts[n, :, i : i + rows, j : j + columns] for n, (i, j) in enumerate(shifts)]
         return sum(summands[1:], summands[0])
 
     for stage in range(stages):
-        padded = xp.pad(xp.stack([consistent, redrawn, linear, maps[:, 0], maps[:, 1]]), edges)
-        around = xp.concatenate([padded[:, :, i : i + rows, j : j + columns] for i, j in shifts])
+        padded = np.pad(np.stack([consistent, redrawn, linear, maps[:, 0], maps[:, 1]]), edges)
+        around = np.concatenate([padded[:, :, i : i + rows, j : j + columns] for i, j in shifts])
         scale, offset = tuned[:, stage, :filters].T, tuned[:, stage, filters : 2 * filters].T
         seen = (w["redraw"][stage] @ around.reshape(len(around), -1)).reshape(filters, size, rows, columns)
-        seen = xp.maximum(seen * scale[:, :, None, None] + offset[:, :, None, None], 0)
+        seen = np.maximum(seen * scale[:, :, None, None] + offset[:, :, None, None], 0)
         redrawn = consistent + drawn(w["draw"][stage])
-        firm = (noise**2 * xp.exp(FIRMNESS[0] * tuned[:, stage, -1] + FIRMNESS[1]))[:, None, None]
+        firm = (noise**2 * np.exp(FIRMNESS[0] * tuned[:, stage, -1] + FIRMNESS[1]))[:, None, None]
         missed = c - gain * (V.swapaxes(1, 2) @ redrawn @ W)
         consistent = redrawn + V @ (gain * missed / (gain**2 + firm)) @ W.swapaxes(1, 2)
-        images.append(xp.maximum(consistent, 0))
-    return xp.stack(images), drawn(w["doubt"]) + doubt[:, None, None]
+        images.append(np.maximum(consistent, 0))
+    return np.stack(images), drawn(w["doubt"]) + doubt[:, None, None]
 
 
-def errors(images, truths, inside, xp=np):
-    """Relative errors (S, B) within the array, those beyond counted AROUND times."""
-    weight = inside + AROUND * (1 - inside)
-    return xp.sqrt(xp.sum(weight * (images - truths) ** 2, axis=(2, 3)) / xp.sum(weight * truths**2, axis=(1, 2)))
+def _hidden(w, conditions):
+    """Give the conditions with ones, the hidden layer before it is cut off below zero, and after, with ones."""
+    known = _with_ones(conditions)
+    before = known @ w["hidden"]
+    return known, before, _with_ones(np.maximum(before, 0))
 
 
-def _hidden(w, conditions, xp):
-    hidden = xp.maximum(_with_ones(conditions, xp) @ w["hidden"], 0)
-    return _with_ones(hidden, xp)
+def _with_ones(values):
+    return np.concatenate([values, np.ones((len(values), 1), values.dtype)], axis=1)
 
 
-def _with_ones(values, xp):
-    return xp.concatenate([values, xp.ones((len(values), 1))], axis=1)
+@cache
+def _step():
+    """Compile train_step.c."""
+    source = Path(__file__).with_name("train_step.c")
+    with TemporaryDirectory() as folder:
+        library = Path(folder) / "train_step.so"
+        options = "-O3", "-march=native", "-ffast-math", "-funroll-loops", "-shared", "-fPIC"
+        subprocess.run(["cc", *options, str(source), "-o", str(library), "-lm"], check=True)
+        return ctypes.CDLL(str(library)).train_step
+
+
+def step(w, blocks):
+    """Give the loss' gradient, the relative errors of all stages (S, B), and pressed cells: all, and those within.
+
+    The loss is the relative error's square over what the conditions let expect of it, which is learned along the
+    way: where a frame may be of several scenes, their mean is right, not the likeliest, which may be a spike. The
+    deviation is such that WITHIN of the errors lie within two of it, by the loss of that quantile.
+    """
+    known, before, hidden = _hidden(w, np.concatenate([each["conditions"] for each in blocks]))
+    size, tuned = len(known), hidden @ w["tune"]
+    weights = np.exp(-hidden @ w["expect"]) / size  # of an error's square
+    stages = np.r_[np.full(STAGES - 1, EARLIER), 1].astype(np.float32)[:, None]
+    terms = np.array([AROUND, TOUCHED, WITHIN, UNPRESSED, DOUBT / size, *FIRMNESS], np.float32)
+    gradient = {name: np.zeros_like(each) for name, each in w.items()}
+    to_tuned, squares, counts = np.zeros_like(tuned), np.empty((STAGES, size), np.float32), np.zeros(2, np.float32)
+    for n, each in enumerate(blocks):
+        own, (rows, columns) = slice(n * LANES, (n + 1) * LANES), each["gain"].shape
+        errors, images = np.empty((STAGES, LANES), np.float32), np.empty((2, LANES, rows, columns), np.float32)
+        arrays = (
+            *(each[name] for name in ("linear", "c", "truths", "noise")), tuned[own], (stages * weights[own]),
+            *(each[name] for name in FIXED), *(w[name] for name in ("redraw", "draw", "doubt")), terms,
+            errors, counts, *images, *(gradient[name] for name in ("redraw", "draw", "doubt")), to_tuned[own],
+        )  # fmt: skip
+        assert all(array.dtype == np.float32 and array.flags.c_contiguous for array in arrays)
+        if _step()(rows, columns, *(ctypes.c_void_p(array.ctypes.data) for array in arrays)):
+            raise MemoryError
+        squares[:, own] = errors
+    to_expect = (stages * (1 / size - (squares + FLOOR**2) * weights)).sum(axis=0)
+    gradient["tune"], gradient["expect"] = hidden.T @ to_tuned, hidden.T @ to_expect
+    to_hidden = to_tuned @ w["tune"].T + np.outer(to_expect, w["expect"])
+    gradient["hidden"] = known.T @ (to_hidden[:, :-1] * (before > 0))
+    return gradient, np.sqrt(squares), counts
 
 
 def start(random):
@@ -292,63 +337,39 @@ def start(random):
 
 
 def fit(drawn, minutes, seed, w, report):
-    """Train from `w` on for a time; gives the weights, averaged over the last steps.
+    """Train from `w` on for a time, by Adam, on skins `drawn` (share, samples); gives the last weights' mean."""
+    random, names = np.random.default_rng(seed), list(w)
+    flat = np.concatenate([np.ravel(w[name]) for name in names]).astype(np.float32)
+    cuts, shapes = np.cumsum([np.size(w[name]) for name in names])[:-1], [np.shape(w[name]) for name in names]
 
-    The loss is the relative error's square over what the conditions let expect of it, which is learned along the
-    way: where a frame may be of several scenes, their mean is right, not the likeliest, which may be a spike. The
-    deviation is such that WITHIN of the errors lie within two of it, by the loss of that quantile.
-    """
-    import jax
-    import jax.numpy as jnp
+    def parts(whole):
+        pieces = zip(names, np.split(whole, cuts), shapes, strict=True)
+        return {name: each.reshape(shape) for name, each, shape in pieces}
 
-    def loss(w, inputs, truths):
-        images, doubt = network(w, inputs, jnp)
-        inside = inputs[4][:, 1]
-        each = errors(images, truths, inside, jnp)
-        expected = _hidden(w, inputs[2], jnp) @ w["expect"]  # its square's logarithm
-        over = ((each**2 + FLOOR**2) * jnp.exp(-expected) + expected).mean(axis=1)
-        missed = jax.lax.stop_gradient(jnp.log(jnp.abs(images[-1] - truths) + 1e-5)) - doubt - np.log(2)
-        pressed = truths > TOUCHED * truths.max(axis=(1, 2), keepdims=True)
-        weight = inside * jnp.where(pressed, 1, UNPRESSED)
-        quantile = weight * jnp.maximum(WITHIN * missed, (WITHIN - 1) * missed)
-        quantile = (quantile.sum(axis=(1, 2)) / (weight.sum(axis=(1, 2)) + 1e-9)).mean()
-        within = ((missed < 0) * pressed * inside).sum() / (pressed * inside).sum()
-        return over[-1] + EARLIER * over[:-1].sum() + DOUBT * quantile, jnp.stack([each[-1].mean(), within])
-
-    @jax.jit
-    def step(state, n, rate, inputs, truths):
-        w, first, second, mean = state
-        (_, figures), gradient = jax.value_and_grad(loss, has_aux=True)(w, inputs, truths)
-        norm = jnp.sqrt(sum(jnp.vdot(each, each) for each in jax.tree.leaves(gradient)))
-        gradient = jax.tree.map(lambda g: g * jnp.minimum(1, CLIP / (norm + 1e-9)), gradient)
-        first = jax.tree.map(lambda m, g: 0.9 * m + 0.1 * g, first, gradient)
-        second = jax.tree.map(lambda v, g: 0.99 * v + 0.01 * g**2, second, gradient)
-        move = partial(_adam, n, rate, jnp)
-        w = jax.tree.map(move, w, first, second)
-        return (w, first, second, jax.tree.map(lambda a, b: FORGET * a + (1 - FORGET) * b, mean, w)), figures
-
-    random = np.random.default_rng(seed)
-    w = {name: jnp.asarray(each, jnp.float32) for name, each in w.items()}
-    none = jax.tree.map(jnp.zeros_like, w)
-    state, n, recent = (w, none, none, w), 0, []
-    sizes = np.array([each.size for each in drawn], float)
+    w, mean, first, second = parts(flat), flat.copy(), np.zeros_like(flat), np.zeros_like(flat)
+    shares, n, recent = np.array([share for share, _ in drawn]), 0, []
     began = reported = time.monotonic()
     while (share := (time.monotonic() - began) / (60 * minutes)) < 1:
         n += 1
-        rate = RATE * min(1, n / WARM_UP) * (1 + np.cos(np.pi * share)) / 2
-        bucket = drawn[random.choice(len(drawn), p=sizes / sizes.sum())]
-        state, figures = step(state, float(n), rate, *bucket.batch(random))
-        recent.append(np.asarray(figures))
+        rate = RATE * min(1, n / WARM_UP) * max(LAST_RATE, (1 + np.cos(np.pi * share)) / 2)
+        chosen = random.choice(len(drawn), size=BLOCKS, p=shares / shares.sum())
+        gradient, errors, counts = step(w, [block(drawn[each][1], random) for each in chosen])
+        slope = np.concatenate([np.ravel(gradient[name]) for name in names])
+        slope *= min(1, CLIP / (np.linalg.norm(slope) + 1e-9))
+        first += 0.1 * (slope - first)
+        second += 0.01 * (slope**2 - second)
+        flat -= rate * (first / (1 - 0.9**n)) / (np.sqrt(second / (1 - 0.99**n)) + 1e-8)
+        mean += (1 - min(FORGET, n / (n + 10))) * (flat - mean)
+        recent.append((errors[-1].mean(), *counts))
         if time.monotonic() - reported > 60:
             reported = time.monotonic()
-            error, within = np.mean(recent[-1000:], axis=0)
-            print(f"{share:.0%}, step {n}: error {error:.4f}, {within:.1%} within two deviations", flush=True)
-            report({name: np.asarray(each, np.float32) for name, each in state[3].items()})
-    return {name: np.asarray(each, np.float32) for name, each in state[3].items()}
-
-
-def _adam(n, rate, xp, w, first, second):
-    return w - rate * (first / (1 - 0.9**n)) / (xp.sqrt(second / (1 - 0.99**n)) + 1e-8)
+            error, pressed, within = np.mean(recent[-5000:], axis=0)
+            print(
+                f"{share:.0%}, step {n}: error {error:.4f}, {within / pressed:.1%} within two deviations",
+                flush=True,
+            )
+            report(parts(mean))
+    return parts(mean)
 
 
 def save(path, seen, w):
@@ -360,7 +381,6 @@ def save(path, seen, w):
 
 def train(
     cache: Annotated[Path, typer.Argument(help="Folder that keeps the samples.")],
-    covers: Annotated[int, typer.Option(help="Of each array.")] = 8,
     frames: Annotated[int, typer.Option(help="Of each skin.")] = 1600,
     minutes: Annotated[float, typer.Option(help="How long to train.")] = 60.0,
     seed: Annotated[int, typer.Option(help="Random seed.")] = 1,
@@ -368,13 +388,15 @@ def train(
     begin: Annotated[Path | None, typer.Option(help="File of weights to go on from.")] = None,
     output: Annotated[Path, typer.Option("--output", "-o", help="File of weights.")] = WEIGHTS,
 ) -> None:
-    """Train the learned restoration anew: writes tactiled/restore/learned.npz. Needs jax."""
-    paths = samples(covers, frames, seed, cache, array)
+    """Train the learned restoration anew: writes tactiled/restore/learned.npz."""
+    paths = samples(COVERS, frames, seed, cache, array)
+    paths += samples(NEAR_COVERS, frames, seed, cache, array, nearly=True)
     if array is not None:
         return
-    drawn = buckets(paths)
-    print(f"{sum(each.size for each in drawn)} samples", flush=True)
-    seen = np.concatenate([np.load(path)["conditions"] for path in paths])
+    large, more = LARGE
+    drawn = [(more if int(path.name.split("_")[1]) in large else 1.0, load(path)) for path in paths]
+    print(f"{sum(len(each['noise']) for _, each in drawn)} samples", flush=True)
+    seen = np.concatenate([each["conditions"] for _, each in drawn])
     w = start(np.random.default_rng([seed, 1]))
     if begin:
         w |= {name: each for name, each in np.load(begin).items() if name in w}
