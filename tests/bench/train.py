@@ -4,9 +4,9 @@ It is trained on no array and no scene of `tests.bench border` or `judge`, and o
 three that it saw, of 1, 2 and 3 pitches. A C compiler makes what takes the time, train_step.c.
 
 The weights in the package took 120 minutes on one core in four runs, each from weights of the last (`--begin`), by
-automatic differentiation, whose steps took eight times as long; without skins that are nearly as their models. The
-last two had rates of 1e-3 and 8e-4, and drew large grids 2.2 and 4 times as often. 57 minutes more of what is below
-(340 000 steps) did not make them better everywhere: `border` got worse with a cell a taxel.
+automatic differentiation, whose steps took eight times as long, without skins that are nearly as their models. The
+last two had rates of 1e-3 and 8e-4, and drew large grids 2.2 and 4 times as often. 57 minutes more of what is here
+(235 000 steps) did not make them better everywhere: `border` got worse with a cell a taxel.
 """
 
 import ctypes
