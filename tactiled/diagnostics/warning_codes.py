@@ -38,7 +38,8 @@ def warning(code: WarningCode, taxels: int | None = None, **values: object) -> F
     counted = (
         {"taxels": "1 taxel", "their": "its"} if taxels == 1 else {"taxels": f"{taxels} taxels", "their": "their"}
     )
-    instead = "restored from {their} neighbours".format(**counted)
+    enough = " where enough is left" if code == "missing" else ""
+    instead = "restored from {their} neighbours".format(**counted) + enough
     return FrameWarning(code, TEXTS[code].format(**{"instead": instead} | counted | values), taxels)
 
 

@@ -213,7 +213,7 @@ def start(calibrations: Calibrations, sensor: NamedSensor, what: Start) -> Calib
 
 @router.get("")
 def state(calibrations: Calibrations, sensor: NamedSensor) -> CalibrationSession:
-    """The open calibration: what was collected, its quality, and the result of the fit."""
+    """Get the open calibration: what was collected, its quality, and the result of the fit."""
     return _answer(calibrations.session(sensor.name))
 
 

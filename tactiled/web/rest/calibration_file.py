@@ -48,7 +48,7 @@ class CalibrationHistory(schemas.Schema):
 
 @router.get("/file", response_class=Response, responses=problems(404) | FILE)
 def download(sensor: NamedSensor) -> Response:
-    """The calibration file in force."""
+    """Get the calibration file in force."""
     file = sensor.plan.file
     if file is None:
         raise Problem(404, f"sensor {sensor.name!r}: no calibration file is in force")
@@ -82,7 +82,7 @@ def _uploaded(
 
 @router.get("/history", responses=problems(404))
 def history(sensor: NamedSensor, service: CurrentService) -> CalibrationHistory:
-    """The calibration files before the present one, up to ten, and as number 0 the configured calibration."""
+    """Get the calibration files before the present one, up to ten, and as number 0 the configured calibration."""
     files = service.former_calibrations(sensor.name).items()
     return CalibrationHistory(files=tuple(_former(n, each) for n, each in files))
 

@@ -47,7 +47,7 @@ class Config(schemas.Schema):
 
 @router.get("/config")
 def config(request: Request, service: CurrentService) -> Config:
-    """The configuration with every default, without secrets, and the changes that clients made."""
+    """Get the configuration with every default, without secrets, and the changes that clients made."""
     return Config(
         server=server_settings(request.app.state.server, service.state is not None),
         bus=service.config.bus,

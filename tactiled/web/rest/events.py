@@ -52,7 +52,7 @@ class EventsQuery(BaseModel):
 
 @router.get("/events", responses=problems(429, 503))
 async def events(request: Request, service: CurrentService, query: Annotated[EventsQuery, Query()]) -> Events:
-    """Events after a given one; the service keeps the last 1000.
+    """Get events after a given one; the service keeps the last 1000.
 
     An `after` above the newest id, from before a restart of the service, counts as 0.
     """

@@ -126,7 +126,7 @@ async def page(
     query: Annotated[PageQuery, Query()],
     form: Annotated[PageFormat, format_of(PageFormat)],
 ) -> Response:
-    """The images of the last seconds, in `unit`, or their shear in counts, for up to `history_s` seconds.
+    """Get the images of the last seconds, in `unit`, or their shear in counts, for up to `history_s` seconds.
 
     The first page has the newest images, each page is in order, and `before` leads to the next page of the window.
     """
@@ -215,7 +215,7 @@ def _ranges(numbers: NDArray[np.int64]) -> str:
 async def surface(
     sensor: NamedSensor, request: Request, form: Annotated[ShearFormat, format_of(ShearFormat)]
 ) -> Response:
-    """The newest restored image with what lies beyond the taxels, in `unit`, and its standard deviation."""
+    """Get the newest restored image with what lies beyond the taxels, in `unit`, and its standard deviation."""
     image = sensor.hub.latest()
     if image is None:
         raise no_frame(sensor)
@@ -231,7 +231,7 @@ async def surface(
 
 @router.get("/shear", response_model=schemas.Shear, responses=problems(404, 406, 503) | NEWEST_SHEAR)
 def shear(sensor: AnySensor, form: Annotated[ShearFormat, format_of(ShearFormat)]) -> Response:
-    """Shear of the newest frame along the skin's x and y axes, in counts; 404 if the skin has none."""
+    """Get the shear of the newest frame along the skin's x and y axes, in counts; 404 if the skin has none."""
     sensor.need_shear()
     image = sensor.hub.latest()
     if image is None or image.shear is None:
@@ -244,7 +244,7 @@ def shear(sensor: AnySensor, form: Annotated[ShearFormat, format_of(ShearFormat)
 
 @router.get("/traction", response_model=schemas.Traction, responses=problems(404, 406, 503) | NEWEST_TRACTION)
 def traction(sensor: AnySensor, form: Annotated[ShearFormat, format_of(ShearFormat)]) -> Response:
-    """Shear of the newest frame, restored on the cells, in kPa; 404 where it is not. NaN before the first tare."""
+    """Get the shear of the newest frame, restored on the cells, in kPa; 404 where it is not. NaN before a tare."""
     sensor.need_traction()
     image = sensor.hub.latest()
     if image is None:
@@ -271,7 +271,7 @@ async def newest(
         float | None, Query(**TOP, description=f"{TOP_OF} of a calibrated sensor, kPa, unless `top` is given")
     ] = None,
 ) -> Response:
-    """The newest image, in `unit`: raw, restored, or the standard deviation of the restored one.
+    """Get the newest image, in `unit`: raw, restored, or the standard deviation of the restored one.
 
     The JSON holds state, flags, noise and warnings; `X-Tactiled-` headers give state and age of every format.
     """

@@ -102,7 +102,8 @@ def complete(app: FastAPI, guarded: bool) -> Callable[[], Json]:
         description = fastapi_openapi()  # the same object each time
         description["components"]["schemas"]["Problem"] = schemas.Problem.model_json_schema()
         for operation in (each for methods in description["paths"].values() for each in methods.values()):
-            operation["summary"] = SUMMARY_END.split(" ".join(operation["description"].split()), 1)[0]
+            summary = SUMMARY_END.split(" ".join(operation["description"].split()), 1)[0]
+            operation["summary"] = f"{summary.replace('`', '')}."
         if guarded:
             description["components"]["securitySchemes"] = {"token": BEARER}
             description["security"] = [{"token": []}]

@@ -47,7 +47,7 @@ Number = Annotated[int, PathParameter(ge=0, le=1 << 53, description="of the fram
 
 
 class Played(schemas.Schema):
-    """A sensor's part of a recording."""
+    """Get a sensor's part of a recording."""
 
     name: str = Field(examples=["grasp.log"])
     sensor: schemas.SensorName
@@ -220,7 +220,7 @@ def _number_at(sensor: Sensor, recorded: RecordedFrames, position_s: float) -> i
 
 
 def _state(playbacks: Playbacks, sensor: Sensor, recorded: RecordedFrames) -> Response:
-    """A sensor's part of a recording, as far as it was read."""
+    """Get a sensor's part of a recording, as far as it was read."""
     reading, plan = recorded.reading, sensor.plan  # first: more may come meanwhile
     fields: dict[str, Any] = {
         "name": recorded.path.name, "sensor": sensor.name, "reading": reading, "unit": plan.unit,
@@ -313,12 +313,12 @@ def make(recordings: Recordings, playbacks: Playbacks) -> APIRouter:
 
     @router.get("/playback", response_model=Played, responses=faults)
     async def state(name: FileName, request: Request, query: Annotated[SensorQuery, Query()]) -> Response:
-        """A sensor's part of a recording that does not run; the first request begins to read the file."""
+        """Get a sensor's part of a recording that does not run; the first request begins to read the file."""
         return await answer(request, name, query, partial(_state, playbacks))
 
     @router.get("/frames", response_class=Response, responses=faults | IMAGES)
     async def frames(name: FileName, request: Request, query: Annotated[FramesQuery, Query()]) -> Response:
-        """Frames of a recording, raw and restored, each by itself: they do not depend on the order of requests."""
+        """Get frames of a recording, raw and restored, each by itself, requested in any order."""
         if query.first is not None and query.at is not None:
             raise Problem(422, "first and at: give one of them")
         return await answer(request, name, query, partial(_images, playbacks, query))
@@ -327,14 +327,14 @@ def make(recordings: Recordings, playbacks: Playbacks) -> APIRouter:
     async def frame(
         name: FileName, number: Number, request: Request, query: Annotated[MethodQuery, Query()]
     ) -> Response:
-        """Reason, warnings, losses and contacts of one frame of a recording."""
+        """Get reason, warnings, losses and contacts of one frame of a recording."""
         return await answer(request, name, query, partial(_frame, playbacks, number, query.method))
 
     csv = success("every frame, once all are measured", "csv")
 
     @router.get("/series", response_model=recorded_series.PlayedSeries, responses=faults | csv)
     async def series(name: FileName, request: Request, query: Annotated[SeriesQuery, Query()]) -> Response:
-        """Force, mean, peak and contact area over a recording; the first request begins to measure its frames."""
+        """Get force, mean, peak and contact area over a recording; the first request begins to measure."""
         return await answer(request, name, query, partial(_series, playbacks, query))
 
     return router

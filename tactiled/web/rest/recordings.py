@@ -323,7 +323,7 @@ def make(recordings: Recordings) -> APIRouter:
 
     @router.get("", responses=problems(503))
     def page(query: Annotated[PageQuery, Query()]) -> RecordingPage:
-        """The recordings in the folder, sorted by name, in pages."""
+        """Get the recordings in the folder, sorted by name, in pages."""
         return recordings.page(query)
 
     @router.post("", status_code=201, responses=problems(404, 409, 503, *CONTROL, *JSON_BODY))
@@ -338,7 +338,7 @@ def make(recordings: Recordings) -> APIRouter:
 
     @router.get("/{name}", response_class=FileResponse, responses=problems(400, 404, 409, 416) | FILE)
     def download(name: FileName) -> FileResponse:
-        """The file of a recording that does not run, or a `Range` of it."""
+        """Get the file of a recording that does not run, or a `Range` of it."""
         return _File(recordings.ended(name), media_type=MEDIA["file"], filename=name)
 
     @router.put("/{name}", status_code=201, responses=problems(*UPLOAD), openapi_extra=BODY)

@@ -86,7 +86,7 @@ def watched(sensor: Sensor, region: str) -> RegionSeries:
 
 @router.get("", responses=problems(404))
 def regions(sensor: NamedSensor, service: CurrentService) -> WatchedRegions:
-    """The regions with their values now, their highest values and integrals."""
+    """Get the regions with their values now, their highest values and integrals."""
     each = tuple(map(WatchedRegion.of, sensor.regions.series.values()))
     return WatchedRegions(regions=each, kept=service.state is not None)
 
@@ -130,7 +130,7 @@ def series(
         Literal["json", "csv"], Query(alias="format", description="a CSV has a line an image")
     ] = "json",
 ) -> Response:
-    """Force, mean, peak and contact area of a region, image by image."""
+    """Get force, mean, peak and contact area of a region, image by image."""
     kept = watched(sensor, region).series(seconds, points)
     if form == "csv":
         head = f"# sensor: {sensor.name}\n# region: {region}\n# time_s: Unix time\n"

@@ -23,7 +23,7 @@ router = APIRouter(prefix="/api/v1")
 
 @router.get("/health", tags=["service"])
 def health(service: CurrentService) -> schemas.Health:
-    """State of the service and of every sensor, with the age of the last frame, and faults of its parts."""
+    """Get the state of the service and of every sensor, the age of the last frame, and faults of parts."""
     sensors = {name: answers.sensor_state(sensor) for name, sensor in service.sensors.items()}
     live = all(each.state == "live" for each in sensors.values())
     faults = service.faults.now
@@ -34,31 +34,31 @@ def health(service: CurrentService) -> schemas.Health:
 def colormap(
     name: Annotated[drawing.ColormapName, Query(description="Matplotlib's name of the colours")] = drawing.COLORS,
 ) -> schemas.Colormap:
-    """256 colours of the viewer; those of PNG images unless another `name` is given."""
+    """Get the viewer's 256 colours; those of PNG images unless another `name` is given."""
     return schemas.Colormap(name=name, colors=drawing.colors(name))
 
 
 @router.get("/sensors", tags=["sensors"])
 def sensors(service: CurrentService) -> schemas.Sensors:
-    """Every sensor with its state, age, rate, method and loss counts."""
+    """Get every sensor with its state, age, rate, method and loss counts."""
     return schemas.Sensors(sensors=tuple(map(answers.sensor_state, service.sensors.values())))
 
 
 @router.get("/sensors/{name}", tags=["sensors"], responses=problems(404))
 def sensor_state(sensor: AnySensor) -> schemas.SensorState:
-    """One sensor with its state, age, rate, method and loss counts."""
+    """Get one sensor with its state, age, rate, method and loss counts."""
     return answers.sensor_state(sensor)
 
 
 @router.get("/sensors/{name}/geometry", tags=["sensors"], responses=problems(404))
 def geometry(sensor: AnySensor) -> schemas.Geometry:
-    """Positions of the taxels and the cells of the images, in mm."""
+    """Get the positions of the taxels and the cells of the images, in mm."""
     return answers.geometry(sensor)
 
 
 @router.get("/sensors/{name}/kernel", tags=["sensors"], responses=problems(404))
 def kernel(sensor: NamedSensor) -> schemas.CoverKernel:
-    """The cover's kernel g(r), its gain G(q), and the smallest resolvable gap."""
+    """Get the cover's kernel g(r), its gain G(q), and the smallest resolvable gap."""
     kernel, summary = sensor.plan.kernel, summarise(sensor.plan.kernel, sensor.array)
     return schemas.CoverKernel(
         model=kernel.model,
@@ -75,7 +75,7 @@ def kernel(sensor: NamedSensor) -> schemas.CoverKernel:
 
 @router.get("/sensors/{name}/method", tags=["sensors"], responses=problems(404))
 def get_method(sensor: NamedSensor, service: CurrentService) -> schemas.Method:
-    """The selected method, the configured one and the kept one."""
+    """Get the selected method, the configured one and the kept one."""
     after_restart = service.state.methods.get(sensor.name, "") if service.state else ""
     kept = OLD_NAMES.get(after_restart, after_restart)
     return schemas.Method(
@@ -93,7 +93,7 @@ def put_method(sensor: NamedSensor, service: CurrentService, selection: schemas.
 
 @router.get("/sensors/{name}/calibration", tags=["sensors"], responses=problems(404))
 def calibration(sensor: NamedSensor, request: Request) -> calibration_schemas.SensorCalibration:
-    """The present calibration from counts to pressure: as configured, with `no_load` from the last tare."""
+    """Get the present calibration from counts to pressure: as configured, with `no_load` from the last tare."""
     return answers.calibration(sensor, request.app.state.calibrations.way(sensor.name))
 
 
@@ -103,7 +103,7 @@ def tare(
     service: CurrentService,
     force: Annotated[bool, Query(description="tare even where the newest frames show a load")] = False,
 ) -> calibration_schemas.Tare:
-    """Tare: the mean of the next 0.5 s, of 16 frames at least, becomes no load, and an event reports the end.
+    """Tare the sensor: the mean of the next 0.5 s, of 16 frames at least, becomes no load. An event reports it.
 
     It is refused or given up while a contact exceeds the noise or the readings move; `force=true` tares anyway.
     """
@@ -122,7 +122,7 @@ def undo_tare(
 
 @router.get("/sensors/{name}/health", tags=["sensors"], responses=problems(404))
 def taxel_health(sensor: NamedSensor) -> calibration_schemas.TaxelHealth:
-    """Taxels found not to work, noise and drift of every taxel, and creep of the load that lies now."""
+    """Get taxels found not to work, noise and drift of every taxel, and creep of the load that lies now."""
     state, taxel_map = sensor.pipeline.monitor.state, sensor.pipeline.monitor.map
     faulty = [(int(at), Fault(state.faults[at])) for at in np.flatnonzero(state.faults)]
     counts = None if state.drift_states is None else np.bincount(state.drift_states, minlength=len(DriftState))
@@ -163,7 +163,7 @@ def push(sensor: NamedSensor, service: CurrentService, frame: schemas.PushedFram
 
 @router.get("/sensors/{name}/contacts", tags=["frames"], responses=problems(404, 503))
 def contacts(sensor: AnySensor) -> schemas.Contacts:
-    """The contacts: centre, force, area, peak, axes, and an id that stays while the contact lasts."""
+    """Get the contacts: centre, force, area, peak, axes, and an id that stays while the contact lasts."""
     contacts = answers.contacts(sensor)
     if contacts is None:
         raise no_frame(sensor)

@@ -42,7 +42,7 @@ class Trace(schemas.Schema):
 
 @router.get("/sensors/{name}/trace", responses=problems(404, 429, 503))
 async def trace(sensor: NamedSensor, request: Request) -> Trace:
-    """The next frame's times from its first CAN message to the clients that it was sent to.
+    """Get the next frame's times from its first CAN message to the clients that it was sent to.
 
     The answer comes when the frame after it is published, or after 0.5 s.
     """

@@ -107,13 +107,20 @@ def test_no_two_schemas_have_one_name(openapi):
     assert not [name for name in openapi["components"]["schemas"] if "__" in name]  # FastAPI's way out of two
 
 
-def test_summaries_begin_their_descriptions(openapi):
+VERBS = {
+    "Add", "Apply", "Calibrate", "Delete", "End", "Forget", "Get", "Push", "Read", "Restore", "Select", "Start",
+    "Stop", "Take", "Tare", "Undo", "Watch",
+}  # fmt: skip
+
+
+def test_summaries_are_sentences_that_begin_their_descriptions(openapi):
     summaries = [each["summary"] for _, each in operations(openapi)]
-    assert {"Undo the last tare", "Restore frames", "Watch a region no longer"} <= {*summaries}
+    assert {"Undo the last tare.", "Restore frames.", "Watch a region no longer."} <= {*summaries}
     for _, each in operations(openapi):
-        description = " ".join(each["description"].split())
-        assert description.startswith(each["summary"])
-        assert description[len(each["summary"])] in ".:;"
+        description, summary = " ".join(each["description"].split()).replace("`", ""), each["summary"]
+        assert description.startswith(summary[:-1])
+        assert description[len(summary) - 1] in ".:;"
+        assert summary.split()[0] in VERBS, summary
 
 
 def test_answers_as_csv_are_described(openapi):
