@@ -281,7 +281,7 @@ def _step():
     source = Path(__file__).with_name("train_step.c")
     with TemporaryDirectory() as folder:
         library = Path(folder) / "train_step.so"
-        options = "-O3", "-march=native", "-ffast-math", "-funroll-loops", "-shared", "-fPIC"
+        options = "-O3", "-march=native", "-funroll-loops", "-shared", "-fPIC"  # not -ffast-math: sets the process
         subprocess.run(["cc", *options, str(source), "-o", str(library), "-lm"], check=True)
         return ctypes.CDLL(str(library)).train_step
 
