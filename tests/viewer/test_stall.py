@@ -62,7 +62,7 @@ COMPILE_SOON = (
     "--js-flags=--no-concurrent-recompilation --interrupt-budget=2000"
     " --invocation-count-for-maglev=20 --invocation-count-for-turbofan=40"
 )
-WARM_UP, FRAMES = 500, 200  # frames before, and measured
+WARM_UP, FRAMES = 900, 200  # frames before, so that a slow machine has compiled the charts too, and measured
 MAX_BYTES = 3000  # a frame, in the viewer's own functions: 2300
 BY_TIME = re.compile(r"(api|deviation|npy|socket)\.js ")  # what comes by time, not by frames
 STOP_TIMERS = "for (let i = 1; i < 1000; i += 1) clearInterval(i)"  # texts and polling
