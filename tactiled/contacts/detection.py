@@ -87,13 +87,13 @@ class Finder:
         highest = maximum_filter(np.maximum(picture, FAR_PEAK_SHARE * peak), self._near)
         was = np.zeros_like(self.parts) if before is None else before
         spread = deviation() if deviation else np.full(pressure.shape, nan)
-        doubt = 0.0 if blurred else np.minimum(DIP_DEVIATIONS * spread, CLEAR_SHARE * picture)
-        least = np.fmax(np.full_like(picture, go_on), doubt)
+        doubt = np.zeros(pressure.shape) if blurred else DIP_DEVIATIONS * spread
+        least = np.fmax(go_on, np.minimum(doubt, CLEAR_SHARE * picture))
         parts = _split(picture, picture > go_on, highest, least, was)
         tops = np.full(int(parts.max()) + 1, -np.inf)
         np.maximum.at(tops, parts, picture)
         tops[0] = np.inf
-        specks = picture <= (0.0 if blurred else np.minimum(DIP_DEVIATIONS * spread, SPECK_SHARE * highest))
+        specks = picture <= np.minimum(doubt, SPECK_SHARE * highest)
         clear = np.zeros(len(tops), bool)
         clear[parts[~specks]] = True
         threshold = np.where(tops > begin, begin, go_on if faint else np.inf)
