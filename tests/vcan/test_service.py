@@ -17,7 +17,7 @@ CONFIG += '[sensor.hand.kernel]\nmodel = "layered"\n'
 
 def test_two_skins_on_two_buses_reach_http_and_websocket(run, until, link, tmp_path):
     config = tmp_path / "two.toml"
-    config.write_text(CONFIG.replace('method = "', 'stale_after_s = 1.5\nmethod = "'))
+    config.write_text(CONFIG.replace('method = "', 'stale_after_s = 5\nmethod = "'))
 
     def fetch(path):
         return ask("GET", f"{service.url}/api/v1/sensors/{path}").json()
@@ -25,7 +25,7 @@ def test_two_skins_on_two_buses_reach_http_and_websocket(run, until, link, tmp_p
     with started(config, tmp_path) as service:
         assert fetch("palm")["clock"] == "kernel"
         simulator = run(*TACTILED, "simulate", "--config", config, "--sensor", "palm", "--rate-hz", 10)
-        run("canplayer", "-l", "i", "vcan0=can0", "-I", recording.path("book_2"))
+        run("canplayer", "-l", "i", "-t", "-g", 20, "vcan0=can0", "-I", recording.path("book_2"))
         until(lambda: fetch("palm")["state"] == fetch("hand")["state"] == "live")
 
         assert np.isfinite(np.array(fetch("palm/frames/restored")["values"], float)).all()

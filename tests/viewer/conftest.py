@@ -2,6 +2,7 @@ import re
 import shutil
 import time
 from base64 import b64decode
+from collections import Counter
 from contextlib import ExitStack
 from io import BytesIO
 
@@ -232,19 +233,24 @@ THUMB = one_more("thumb", 1, f'{CORNERS}, aperture_mm = 1.5, aperture = "round"'
 class Pair(Rig):
     """The palm, a grid, and the thumb, four taxels of no grid."""
 
+    def __init__(self, *arguments):
+        super().__init__(*arguments)
+        self.sequences = Counter()  # frames that each sensor beside the palm was sent
+
     def both(self, palm=None, thumb=(500, 100, 100, 900)):
         """A frame of each; waits for their images."""
         self.show(pressed() if palm is None else palm)
         sensor = self.service.sensor("thumb")
         self.send_to("thumb", thumb)
-        until(lambda: (image := sensor.hub.latest()) and image.sequence == self.sequence)
+        until(lambda: (image := sensor.hub.latest()) and image.sequence == self.sequences["thumb"] - 1)
         return self.sensor.hub.latest(), sensor.hub.latest()
 
     def send_to(self, name, counts):
         """A frame of a sensor beside the palm."""
         counts = np.asarray(counts, np.uint16).ravel()
-        for message in self.service.sensor(name).codec.encode(counts, self.sequence % 256, time.time()):
+        for message in self.service.sensor(name).codec.encode(counts, self.sequences[name], time.time()):
             self.bus.send(message)
+        self.sequences[name] += 1
 
 
 @pytest.fixture

@@ -76,6 +76,7 @@ export const PLOT_RIGHT_PX = 12;
 const TOP_PX = 20;
 const BOTTOM_PX = 34;
 const SUBPIXELS = 16; // units of lines in a CSS px: whole, as any other number handed to the browser may be an object
+const LONE = SUBPIXELS; // half the side of the square, between its strokes, where no line reaches a value
 const DASHES = [6 * SUBPIXELS, 4 * SUBPIXELS]; // of the raw line, where colours are few
 const OFFSCREEN = 2 ** 24; // of such units, out of sight
 
@@ -255,7 +256,9 @@ export class Chart {
       }
       const x = toInt(SUBPIXELS * PLOT_LEFT_PX + (of.x[at] - from) * sx);
       const y = toInt(floor - (value - axes.bottom) * sy);
-      if (down) draw.lineTo(x - half, y);
+      const lone = !down && (i + 1 === of.length || Number.isNaN(of.y[at + 1 < of.x.length ? at + 1 : 0]));
+      if (lone && !half) draw.rect(x - LONE, y - LONE, 2 * LONE, 2 * LONE);
+      else if (down) draw.lineTo(x - half, y);
       else draw.moveTo(x - half, y);
       if (half) draw.lineTo(x + half, y);
       down = true;

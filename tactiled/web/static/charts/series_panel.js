@@ -132,7 +132,7 @@ export class SeriesPanel {
     if (!session) return;
     const { time } = this._viewer;
     const [left, right] = time.ends(newestOf(session));
-    const reach = Math.min(MAX_REACH_S, -left + 1); // regions may be newer than the newest frame
+    const reach = Math.min(MAX_REACH_S, 1 - left + sincePause(session)); // regions may be newer than the newest frame
     const points = Math.min(MAX_POINTS, Math.ceil((CHART_POINTS * reach) / (right - left)));
     if (OFFERED_SPANS.has(String(time.span))) this._span.value = String(time.span);
     const quantity = /** @type {Quantity} */ (this._quantity.value);
@@ -173,8 +173,10 @@ export class SeriesPanel {
     const frame = session?.history.at(0);
     if (!session || !frame) return;
     try {
-      const state = `${document.body.dataset.level}, series of the last ${this._span.selectedOptions[0].text}`;
-      const text = seriesCsv(await this._read(session, Number(this._span.value), MAX_POINTS), session.unit, provenance(session.name, frame, session.status, state));
+      const since = sincePause(session);
+      const until = session.paused ? " before the pause, and since" : "";
+      const state = `${document.body.dataset.level}, series of the last ${this._span.selectedOptions[0].text}${until}`;
+      const text = seriesCsv(await this._read(session, Number(this._span.value) + since, MAX_POINTS), session.unit, provenance(session.name, frame, session.status, state));
       download(session.name, frame, "series.csv", new Blob([text], { type: "text/csv" }));
     } catch (error) {
       notice(`Series not saved: ${messageOf(error)}`, true);
@@ -184,6 +186,9 @@ export class SeriesPanel {
 
 /** @param {Session} session @returns {number} Unix s, of its newest frame; 0 for none */
 const newestOf = ({ history: { trace } }) => trace.times[trace.place(0)] || 0;
+
+/** @param {Session} session @returns {number} s by which series go on after the newest frame: the history stops in a pause */
+const sincePause = (session) => Math.max(0, session.series.newest - newestOf(session)) || 0;
 
 /** @param {string} key @returns {string} what a reader calls it */
 const title = (key) => key.replace("region ", "");
