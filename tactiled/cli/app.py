@@ -59,7 +59,7 @@ def main() -> None:
     if SERVICES.intersection(sys.argv[1:2]):
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # its threads wait for each other longer than they save
         for each in _stop_signals():
-            signal.signal(each, lambda *_: sys.exit())
+            signal.signal(each, _leave)
     else:
         for each in _stop_signals()[1:]:  # Ctrl-C does it by itself
             signal.signal(each, _interrupt)
@@ -76,6 +76,8 @@ def main() -> None:
         if end.code == EXIT_INTERRUPTED:
             typer.echo("tactiled: interrupted: unfinished files are removed", err=True)
         raise
+    finally:
+        _ignore_more()
 
 
 def _stop_signals() -> list[signal.Signals]:
@@ -84,9 +86,19 @@ def _stop_signals() -> list[signal.Signals]:
 
 
 def _interrupt(*_: object) -> None:
-    for each in _stop_signals():  # a second one would end the cleaning up
-        signal.signal(each, signal.SIG_IGN)
+    _ignore_more()
     raise KeyboardInterrupt
+
+
+def _leave(*_: object) -> None:
+    _ignore_more()
+    sys.exit()
+
+
+def _ignore_more() -> None:
+    """A second signal would end the cleaning up."""
+    for each in _stop_signals():
+        signal.signal(each, signal.SIG_IGN)
 
 
 @contextmanager

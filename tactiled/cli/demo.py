@@ -39,12 +39,16 @@ REAL_BUS, VIRTUAL_BUS = (
     f'interface = "{interface}"\nchannel = "{channel}"'
     for interface, channel in (("socketcan", "can0"), ("virtual", "demo"))
 )
+VIRTUAL_BUS += (
+    "\nrx_queue_size = 128"  # messages: the sender waits for the service, so that none is old when it is read
+)
 OPENING = {"palm": "touch", "skin": "sphere"}  # the scene of each sensor, unless one is chosen
 RECORDED = ("empty", 1.0), ("fingertip", 5.0)  # scenes of the recording to play, and how long, s
 RECORDED_HZ, LEAVE_MB = 50.0, 100.0
 # What a guided calibration asks for is what then touches the simulated array, after a pause without a load.
 GUIDED = {"tip": ("tip",), "edge": ("straightedge",), "blind": ("indenters", "edge"), "uniform": ("steps",)}
 UNLOADED_S = 1.0
+END_S = 5.0  # that the sender may take to end
 Source = Callable[[Reader, Event], object]
 
 
@@ -162,4 +166,4 @@ def running(service: Service, config: Config, source: Source) -> Iterator[None]:
             yield
         finally:
             stop.set()
-            thread.join()
+            thread.join(END_S)  # longer only if the service reads no more, which it waits for then

@@ -10,6 +10,7 @@ import time
 from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from functools import partial
+from types import FrameType
 from typing import TYPE_CHECKING, Any, cast
 
 import uvicorn
@@ -102,6 +103,11 @@ class _Server(uvicorn.Server):
     def __init__(self, config: uvicorn.Config) -> None:
         super().__init__(config)
         self.beside: list[uvicorn.Server] = []
+
+    def handle_exit(self, sig: int, frame: FrameType | None) -> None:
+        """Begin to end; another signal changes nothing: uvicorn's own would leave its parts unfinished."""
+        if not self.should_exit:
+            super().handle_exit(sig, frame)
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
         """Close every connection, those of the servers beside this one meanwhile."""

@@ -36,7 +36,7 @@ def unit(folder):
         process.wait()
 
 
-def test_a_unit_is_ready_with_its_bus_and_port_and_notifies_reload_and_stop(tmp_path):
+def test_a_unit_is_ready_with_its_bus_and_port_and_notifies_reload_and_stop(tmp_path, capfd):
     with Manager(f"{tmp_path}/notify") as manager, unit(tmp_path) as (process, url):
         assert manager.receive("READY")["STATUS"] == f"{url}: 0 of 1 sensors live, palm silent"
         assert ask("GET", f"{url}/api/v1/health").json()["sensors"]
@@ -44,8 +44,11 @@ def test_a_unit_is_ready_with_its_bus_and_port_and_notifies_reload_and_stop(tmp_
         assert manager.receive("RELOADING")["RELOADING"] == "1"
         assert manager.receive("READY") == {"READY": "1"}
         process.send_signal(signal.SIGTERM)
+        process.send_signal(signal.SIGINT)
         assert manager.receive("STOPPING")
+        process.send_signal(signal.SIGINT)  # the end goes on
         assert process.wait(BUSY_S) == 0
+        assert "Traceback" not in capfd.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -45,7 +45,7 @@ def test_the_page_follows_the_unit_of_the_sensor(serve, open_page):
     restored = round(float(np.nansum(image.restored)) * thumb.cells.side**2)
     assert {f"force counts·mm²\t14448\t{restored}", "peak counts\t800\t800"} <= set(lines)
     assert "Colour scale from 0 to 10000 counts" in text
-    assert page.text("peak-raw", "noise") == ["800", "0.3 counts"]
+    assert page.text("peak-raw", "noise") == ["800", "0.29 counts"]
     lines = page.download("c").read_text().splitlines()
     assert next(line for line in lines if line[0] != "#").split(",")[5] == "counts"
     ends = page.wait("window.drawn.filter(each => each.id === 'colorbar' && each.text === '10000')")

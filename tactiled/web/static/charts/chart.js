@@ -256,10 +256,12 @@ export class Chart {
       }
       const x = toInt(SUBPIXELS * PLOT_LEFT_PX + (of.x[at] - from) * sx);
       const y = toInt(floor - (value - axes.bottom) * sy);
-      const lone = !down && (i + 1 === of.length || Number.isNaN(of.y[at + 1 < of.x.length ? at + 1 : 0]));
-      if (lone && !half) draw.rect(x - LONE, y - LONE, 2 * LONE, 2 * LONE);
-      else if (down) draw.lineTo(x - half, y);
-      else draw.moveTo(x - half, y);
+      if (down) draw.lineTo(x - half, y);
+      else {
+        const next = of.y[at + 1 < of.x.length ? at + 1 : 0];
+        if (!half && (next !== next || i + 1 === of.length)) draw.rect(x - LONE, y - LONE, 2 * LONE, 2 * LONE);
+        draw.moveTo(x - half, y);
+      }
       if (half) draw.lineTo(x + half, y);
       down = true;
     }
