@@ -145,7 +145,8 @@ def test_contacts_are_outlined_and_listed_follow_what_moves_and_can_be_switched_
     contacts = ask("GET", f"{url}/api/v1/sensors/palm/contacts").json()["contacts"]
     listed = page.evaluate(CONTACTS)
     assert [int(row[0]) for row in listed] == [each["id"] for each in contacts]
-    forces = [[float(each) for each in row[1].split(" ± ")] for row in listed]
+    assert [row[1][0] == "≥" for row in listed] == [each["cut_off"] for each in contacts] == [False, True]
+    forces = [[float(each) for each in row[1].removeprefix("≥ ").split(" ± ")] for row in listed]
     assert forces == [
         [float(f"{each['force_n']:.3g}"), float(f"{2 * each['force_deviation']:.2g}")] for each in contacts
     ]

@@ -21,6 +21,8 @@ const POLL_MS = 500;
 const CHART_POINTS = 600; // of a region
 const MAX_POINTS = 60_000;
 const MAX_REACH_S = 600;
+const AHEAD_S = { live: 1, paused: 5 }; // by which the service may be ahead of this page
+const SETTLED_S = 1; // after the newest frame of a pause, when all of what came before it is known
 const OFFERED_SPANS = new Set(["10", "60", "600"]);
 const MAX_OFFERED = 8; // contacts, the newest
 const MAX_GAPS_S = { contact: 0.5, region: 1 }; // between two values that a line joins; of regions as in the service's integrals
@@ -38,6 +40,8 @@ export class SeriesPanel {
     this._offered = this._listed = "";
     /** @type {{axes: Axes, lines: Line[]}|null} what was read last */
     this._drawn = null;
+    /** @type {{shown: string, all: Map<string, Series>}} what a pause keeps, and of which part of what */
+    this._kept = { shown: "", all: new Map() };
     this._add = /** @type {HTMLSelectElement} */ (byId("plot-add"));
     this._quantity = /** @type {HTMLSelectElement} */ (byId("plot-quantity"));
     this._span = /** @type {HTMLSelectElement} */ (byId("plot-span"));
@@ -132,17 +136,20 @@ export class SeriesPanel {
     if (!session) return;
     const { time } = this._viewer;
     const [left, right] = time.ends(newestOf(session));
-    const reach = Math.min(MAX_REACH_S, 1 - left + sincePause(session)); // regions may be newer than the newest frame
+    const since = sincePause(session);
+    const reach = Math.min(MAX_REACH_S, AHEAD_S[session.paused ? "paused" : "live"] - left + since);
     const points = Math.min(MAX_POINTS, Math.ceil((CHART_POINTS * reach) / (right - left)));
     if (OFFERED_SPANS.has(String(time.span))) this._span.value = String(time.span);
     const quantity = /** @type {Quantity} */ (this._quantity.value);
-    let all;
+    const shown = [...this._slots.keys(), newestOf(session), left, right].join();
+    let all = session.paused && this._kept.shown === shown ? this._kept.all : null; // the service keeps ten minutes
     try {
-      all = await this._read(session, reach, points);
+      all ??= await this._read(session, reach, points);
     } catch {
       return; // the page says already that the service does not answer
     }
     if (session !== this._session) return;
+    this._kept = { shown: since > SETTLED_S ? shown : "", all };
     const { status } = session;
     const frames_s = MAX_GAP_FRAMES / (status?.rate_hz || Infinity);
     const lines = [...all].map(([key, series]) => {
@@ -188,7 +195,7 @@ export class SeriesPanel {
 const newestOf = ({ history: { trace } }) => trace.times[trace.place(0)] || 0;
 
 /** @param {Session} session @returns {number} s by which series go on after the newest frame: the history stops in a pause */
-const sincePause = (session) => Math.max(0, session.series.newest - newestOf(session)) || 0;
+const sincePause = (session) => (session.paused && Math.max(0, session.series.newest - newestOf(session))) || 0;
 
 /** @param {string} key @returns {string} what a reader calls it */
 const title = (key) => key.replace("region ", "");

@@ -36,7 +36,7 @@ dl { display: grid; grid-template-columns: max-content 1fr; gap: 2px 16px; } dd 
 const escaped = (text) => text.replace(/[&<>"]/g, (each) => `&#${each.charCodeAt(0)};`);
 
 /** @param {string[][]} rows the first is the head @returns {string} */
-const table = ([head, ...rows]) => `<table><thead><tr>${head.map((each) => `<th scope="col">${escaped(each)}</th>`).join("")}</tr></thead><tbody>${rows
+const table = ([head, ...rows]) => `<table><thead><tr>${head.map((each) => (each ? `<th scope="col">${escaped(each)}</th>` : "<td></td>")).join("")}</tr></thead><tbody>${rows
   .map(([first, ...rest]) => `<tr><th scope="row">${escaped(first)}</th>${rest.map((each) => `<td>${escaped(each)}</td>`).join("")}</tr>`).join("")}</tbody></table>`;
 
 /** @param {Reported} reported @returns {string} a page of HTML that needs no other file */
@@ -70,7 +70,7 @@ export function reportHtml({ title, frame, plane, origin, pictures, contacts, re
     ...(trace ? [`<details><summary>Force over time, values</summary><pre>${escaped(traceCsv(trace, FORCE_UNITS[unit]))}</pre></details>`] : []),
   ];
   return `<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>${escaped(title)}</title><style>${styleOf(colors)}</style></head>\n`
-    + `<body><h1>${escaped(title)}</h1>\n${sections.join("\n")}\n</body></html>\n`;
+    + `<body><main><h1>${escaped(title)}</h1>\n${sections.join("\n")}\n</main></body></html>\n`;
 }
 
 /** @param {Picture} picture @returns {string} */

@@ -66,7 +66,7 @@ function fillRow(cells, contact, unit, charted) {
   button.disabled = !charted;
   button.setAttribute("aria-pressed", String(charted?.has(`contact ${contact.id}`) ?? false));
   const spread = contact.force_deviation == null ? "" : ` ± ${forceSpread(DEVIATIONS * contact.force_deviation, unit)}`;
-  setText(cells[1], forceNumber(contact.force, unit) + spread);
+  setText(cells[1], (contact.cut_off ? "≥ " : "") + forceNumber(contact.force, unit) + spread);
   setText(cells[2], number(contact.peak));
   setText(cells[3], number(contact.area_mm2));
   setText(cells[4], fixed(contact.x_mm, 1));

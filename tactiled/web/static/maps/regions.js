@@ -119,15 +119,15 @@ export class Regions {
   read() {
     const { session, name, frame, held } = this._viewer;
     const { plane = null } = session ?? {};
-    if (!plane || this._sensor !== name) return;
-    if (this._inside?.plane !== plane || this._inside.shapes !== this.shapes) {
+    if (this._sensor !== name) return;
+    if (plane && (this._inside?.plane !== plane || this._inside.shapes !== this.shapes)) {
       this._inside = { plane, shapes: this.shapes, cells: this._regions.map((each) => cellsIn(each, plane.restored)) };
     }
-    const { cells: inside } = this._inside;
+    const inside = this._inside?.cells ?? [];
     this._values = this._regions.map((region, i) => {
       const { cells } = this._body.rows[i];
       const now = session instanceof PlaybackSession && held.kind === "now" ? session.regions.find((each) => each.name === region.name)
-        : frame && measureRegion(inside[i], frame, plane.restored);
+        : frame && plane && measureRegion(inside[i], frame, plane.restored);
       setText(cells[1], now?.force == null ? "–" : forceNumber(now.force, session?.unit ?? 0));
       setText(cells[2], now?.mean == null ? "–" : number(now.mean));
       setText(cells[3], now?.peak == null ? "–" : number(now.peak));

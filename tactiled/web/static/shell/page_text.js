@@ -63,7 +63,7 @@ export class PageText {
     this._shear.hidden = !session?.kinds.includes(SHEAR);
     const live = health.level === "live";
     this.readings.frame(frame);
-    this.readings.status(session?.status ?? null, live || health.level === "playback");
+    this.readings.status((session instanceof PlaybackSession ? session.status : session?.statusOfFrame) ?? null, live || health.level === "playback");
     this.readings.pace(pace.fps(), live && !paused && pace.painted && replayed_s === null ? pace.latency : NaN, pace.skew);
     setText(byId("probe"), probeText(viewer, frame) || HINTS[viewer.view.name === "surface" ? "surface" : "flat"]);
     if (!(session instanceof PlaybackSession)) this._playback(session, frame, live ? replayed_s === null ? "live" : "replay" : health.level === "ended" ? "end" : "last");
@@ -75,6 +75,7 @@ export class PageText {
     this.contacts.show(contactsOfFrame?.contacts ?? null, viewer.contacts, count, frame?.ofRaw.unknown ?? 0, viewer.unit, viewer.charted);
     const offset = paused && contactsOfFrame && frame ? timeOffset(contactsOfFrame, frame) : "";
     setText(this._contactsOf, offset ? `from ${offset}` : "in the restored image");
+    setText(byId("restored-sub"), viewer.held.text || (offset ? `contacts from ${offset}` : "pressure on the cover"));
     this._section(viewer, frame);
   }
 
@@ -82,7 +83,6 @@ export class PageText {
   _held(text) {
     document.body.classList.toggle("held", text !== "");
     setText(byId("raw-sub"), text || "as the taxels measure");
-    setText(byId("restored-sub"), text || "pressure on the cover");
     byId("hold-reset").hidden = !text.startsWith("highest");
   }
 

@@ -26,9 +26,9 @@ export const lengthText = (value, decimals = 1) => `${fixed(value, decimals)} mm
 /** @param {number} value @param {number} unit of pressure @returns {string} without its unit */
 export const forceNumber = (value, unit) => (unit ? whole(value) : newtons(value));
 
-/** @param {number} value of a deviation @param {number} unit of pressure @returns {string} two significant digits, without its unit */
+/** @param {number} value of a deviation @param {number} unit of pressure @returns {string} two significant digits, five decimals at most, as a force; without its unit */
 export const forceSpread = (value, unit) =>
-  unit || !(value > 0) ? whole(value) : fixed(value, Math.max(0, 1 - Math.floor(Math.log10(value))));
+  unit || !(value > 0) ? whole(value) : fixed(value, Math.max(0, Math.min(5, 1 - Math.floor(Math.log10(value)))));
 
 /** @param {number} value @param {number} unit of pressure @returns {string} */
 export const forceText = (value, unit) => `${forceNumber(value, unit)} ${FORCE_UNITS[unit]}`;
