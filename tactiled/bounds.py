@@ -1,6 +1,7 @@
 """Bounds of the numbers of the configuration, and what texts may hold, in words in the error; paths beside it."""
 
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, cast
@@ -9,7 +10,15 @@ from pydantic import AfterValidator, Field, GetCoreSchemaHandler, GetJsonSchemaH
 from pydantic.json_schema import JsonSchemaValue
 from pydantic_core import CoreSchema, PydanticCustomError, core_schema
 
-from tactiled.units import LENGTH
+from tactiled.units import LENGTH, STIFFNESS
+
+SI = {LENGTH: {"metres": 1e3}, STIFFNESS: {"Pa": 1e-6}}  # units that a number may have been given in, over ours
+
+
+def slips(value: float, unit: str, units: Mapping[str, float], low: float, high: float) -> list[tuple[float, str]]:
+    """What `value` is in `unit` if it was given in others, from `low` to `high`: number and words."""
+    meant = ((value * factor, name) for name, factor in units.items() if low <= abs(value) * factor <= high)
+    return [(each, f"; {each:g} {unit} if it was given in {name}") for each, name in meant]
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,7 +57,10 @@ class Bounds:
         """Refuse a number past either end, and NaN."""
         size = abs(value) if self.signed else value
         if not (self.low <= size <= self.high or (self.zero and value == 0)):
-            raise PydanticCustomError("out_of_bounds", "give {bounds}", {"bounds": str(self)})
+            found = slips(value, self.unit, SI.get(self.unit, {}), self.low, self.high)
+            meant, words = found[0] if found else (min(max(size, self.low), self.high), "")
+            context = {"bounds": str(self), "slip": words, "meant": meant}
+            raise PydanticCustomError("out_of_bounds", "give {bounds}{slip}", context)
         return value
 
 

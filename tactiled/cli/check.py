@@ -12,8 +12,9 @@ from threadpoolctl import threadpool_limits
 from tactiled.build import SensorPlan
 from tactiled.cli import options
 from tactiled.cli.sniff import listen, survey_lines
-from tactiled.config import Config, load, tls_context
+from tactiled.config import Config, load, load_as_meant, tls_context
 from tactiled.cover.summary import CoverSummary, summarise
+from tactiled.errors import ConfigError
 from tactiled.live.service import Service
 from tactiled.live.state_file import StateFile
 from tactiled.messages.foxglove import need
@@ -60,8 +61,13 @@ def check(
 
 
 def findings_of(config: Path) -> list[Finding]:
-    """What is hard to believe of a configuration file."""
-    settings = load(config)
+    """What is hard to believe of a configuration file; printed where ConfigError says what cannot be."""
+    try:
+        settings = load(config)
+    except ConfigError:
+        if other := load_as_meant(config):
+            _print(config_findings(other))
+        raise
     return unedited(config.read_text("utf-8")) + config_findings(settings)
 
 

@@ -1,6 +1,7 @@
 """TOML to a checked Config; every fault of the file at once, each with its place."""
 
 import difflib
+import functools
 import re
 import ssl
 import tomllib
@@ -42,6 +43,29 @@ class Buses(Section):
 def load(path: Path) -> Config:
     """Read the file at `path`; ConfigError with one line for each fault."""
     return parse(_read(path), str(path), path.parent)
+
+
+def load_as_meant(path: Path) -> Config | None:
+    """Read a file, its numbers past their bounds as they may have been meant; None where it has other faults."""
+    data = _parse(_read(path), str(path))
+    context = {"folder": path.parent}
+    try:
+        return Config.model_validate(data, context=context)
+    except ValidationError as error:
+        faults = error.errors()
+    try:
+        for fault in faults:
+            *tables, key = fault["loc"]
+            table: Any = functools.reduce(_in_table, tables, data)
+            table[key] = fault["ctx"]["meant"]
+        return Config.model_validate(data, context=context)
+    except (ValidationError, LookupError, TypeError):
+        return None
+
+
+def _in_table(table: Any, part: int | str) -> Any:
+    """A part of a table; one layer may stand for a list of it."""
+    return table if part == 0 and isinstance(table, dict) else table[part]
 
 
 def load_buses(path: Path) -> Buses:

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from tactiled.bounds import slips
 from tactiled.build import make_array, make_calibration, make_codec
 from tactiled.bus.codec import Codec, whole_counts
 from tactiled.bus.codecs.dbc import Dbc
@@ -112,9 +113,7 @@ def _scaling(place: str, codec: Dbc, given: float | None) -> Iterator[Finding]:
 
 
 def _slip(value: float, unit: str, units: Mapping[str, float], low: float, high: float) -> str:
-    """What `value` is in `unit` if it was given in others, where that lies between `low` and `high`."""
-    slips = [(value * factor, name) for name, factor in units.items() if low <= abs(value) * factor <= high]
-    return "".join(f"; {each:g} {unit} if it was given in {name}" for each, name in slips)
+    return "".join(words for _, words in slips(value, unit, units, low, high))
 
 
 def _array(place: str, array: Array) -> Iterator[Finding]:

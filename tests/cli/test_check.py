@@ -37,6 +37,17 @@ def test_a_doubtful_value_ends_a_check_with_1_and_a_run_only_prints_it(palm, mon
     assert done.stderr.startswith(f"tactiled: {line}")
 
 
+def test_what_cannot_be_and_what_is_doubtful_are_told_at_once(palm):
+    path = palm("thickness_mm = 1.2", "thickness_mm = 0.0012")
+    path.write_text(path.read_text().replace("pitch_mm = 1.0", "pitch_mm = 0.001").replace("= 980.0", "= 980e6"))
+    done = run("check", path)
+    (doubt,) = done.stdout.splitlines()
+    assert doubt.startswith("doubtful: sensor.palm.cover.thickness_mm = 0.0012: ")
+    pitch, young = str(done.exception).splitlines()
+    assert pitch.endswith("pitch_mm = 0.001: give 0.01 to 1000 mm; 1 mm if it was given in metres")
+    assert young.endswith("young_mpa = 980000000.0: give 0.001 to 1e7 MPa; 980 MPa if it was given in Pa")
+
+
 def test_a_hint_and_a_file_as_it_is_written_end_a_check_well(palm):
     assert "doubtful" not in succeed("check", palm())
     output = succeed("check", palm("poisson = 0.48", "poisson = 0.3"))

@@ -114,10 +114,15 @@ def _methods(app: FastAPI, request: Request) -> list[str]:
 
 
 def _follows(error: Mapping[str, Any], errors: Sequence[Mapping[str, Any]]) -> bool:
-    """Whether a list is only too short because items of it are wrong, which pydantic does not count."""
+    """Whether a list is only too short because items of it are wrong, which pydantic does not count.
+
+    Or whether a default cannot be made of them.
+    """
     place = error["loc"]
     inside = (each["loc"] for each in errors if each is not error)
-    return error["type"] == "too_short" and any(each[: len(place)] == place for each in inside)
+    return error["type"] == "default_factory_not_called" or (
+        error["type"] == "too_short" and any(each[: len(place)] == place for each in inside)
+    )
 
 
 def _describe(error: Mapping[str, Any]) -> str:

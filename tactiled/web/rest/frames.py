@@ -6,7 +6,7 @@ from io import BytesIO
 from typing import Annotated, Any, Literal
 
 import numpy as np
-from fastapi import APIRouter, Query, Request, Response
+from fastapi import APIRouter, Path, Query, Request, Response
 from numpy.typing import NDArray
 from pydantic import BaseModel, Field
 from starlette.concurrency import run_in_threadpool
@@ -258,7 +258,9 @@ def traction(sensor: AnySensor, form: Annotated[ShearFormat, format_of(ShearForm
 @router.get("/{kind}", response_model=schemas.Frame, responses=problems(404, 406, 409, 429, 503) | NEWEST)
 async def newest(
     sensor: AnySensor,
-    kind: PressureKind,
+    kind: Annotated[
+        PressureKind, Path(description="what the taxels measure, the pressure on the cover, or its deviation")
+    ],
     request: Request,
     form: Annotated[NewestFormat, format_of(NewestFormat)],
     image: Annotated[

@@ -85,5 +85,6 @@ def _of_text(text: str) -> tuple[NDArray[np.float64], int | None, float | None]:
         frame = PushedFrame.model_validate_json(text)
     except ValidationError as error:
         first = error.errors()[0]
-        raise ValueError(f"{'.'.join(map(str, first['loc'])) or 'message'}: {first['msg']}") from error
+        place = [str(part) for part in first["loc"] if "[" not in str(part)]  # no names of types
+        raise ValueError(f"{'.'.join(place) or 'message'}: {first['msg']}") from error
     return as_array(frame.values), frame.sequence, frame.time

@@ -61,6 +61,7 @@ def test_a_region_over_its_threshold_is_an_event(rig, client):
         (HEEL | {"points_mm": [[1, 1]]}, 422, "points_mm"),
         (HEEL | {"points_mm": [[1, 1], [2, "b"]]}, 422, "^points_mm.1.1 = 'b': Input should be a valid number$"),
         (HEEL | {"colour": "red"}, 422, "colour"),
+        (HEEL | {"threshold": {"quantity": "force", "above": "1"}}, 422, "^threshold.above = '1': [^;]*$"),
     ],
 )
 def test_a_wrong_region_is_refused_and_changes_nothing(client, rig, body, status, words):
