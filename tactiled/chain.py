@@ -209,8 +209,12 @@ class Chain:
         return tared.reshape((2, *flags.shape))
 
     def deviation(self, image: SensorImage) -> Floats32:
-        """Standard deviation of every cell of `image.restored`, this chain's newest, in its unit; any thread."""
-        return np.asarray(self._own(self.surface(image))[1])
+        """Standard deviation of every cell of `image.restored`, this chain's newest, in its unit; any thread.
+
+        The deviation is of what the whole method gives: an image that was cut short is off by the difference, too.
+        """
+        whole, spread = self._own(self.surface(image))
+        return np.asarray(np.hypot(spread, whole - image.restored))
 
     def surface(self, image: SensorImage) -> Floats32:
         """Restored pressure and its deviation (2, R, C), with what lies beyond the array; as of `deviation`."""

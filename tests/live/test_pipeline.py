@@ -84,6 +84,15 @@ def test_the_deviation_is_of_the_method_that_made_the_image(make, plan):
     np.testing.assert_allclose(pipeline.deviation(image), deviation, atol=0.1 * deviation.max())
 
 
+def test_the_deviation_of_an_image_that_was_cut_short_counts_what_it_lacks(make):
+    pipeline = make("learned")
+    cut, whole = pipeline.process(frame(), 0.0), pipeline.process(frame())
+    assert [any(each.code == "cut_short" for each in image.warnings) for image in (cut, whole)] == [True, False]
+    lacks, spread = whole.restored - cut.restored, pipeline.deviation(whole)
+    assert np.abs(lacks).max() > 5  # kPa
+    np.testing.assert_allclose(pipeline.deviation(cut), np.hypot(spread, lacks), rtol=1e-5)
+
+
 @pytest.mark.parametrize("method", ["raw", "wiener", "auto"])
 def test_a_taxel_without_data_is_nan_in_raw_inferred_in_restored_and_has_a_warning(make, method):
     flags = flags_of({(3, 3): MISSING, (0, 0): BAD})
