@@ -138,7 +138,7 @@ def _server(host: str, port: int, foxglove: int | None, recordings: str) -> Serv
     """Where to serve; beyond loopback with a token made for this run."""
     token = None if host in LOOPBACK else SecretStr(token_urlsafe(12))
     if token:
-        print(f"tactiled: other machines open port {port} of this one; the token is {token.get_secret_value()}")
+        print(f"tactiled: other machines reach port {port} of this one with the token {token.get_secret_value()}")
     logs.announce(f"recordings go to {recordings}, which is removed at the end")
     address = {"host": host, "port": port, "foxglove": foxglove, "control_token": token}
     kept = {"recordings": recordings, "recordings_leave_mb": LEAVE_MB}

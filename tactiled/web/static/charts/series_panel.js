@@ -22,7 +22,7 @@ const CHART_POINTS = 600; // of a region
 const MAX_POINTS = 60_000;
 const MAX_REACH_S = 600;
 const AHEAD_S = { live: 1, paused: 5 }; // by which the service may be ahead of this page
-const SETTLED_S = 1; // after the newest frame of a pause, when all of what came before it is known
+const SETTLED_S = 1; // after which all is known of what came before a pause
 const OFFERED_SPANS = new Set(["10", "60", "600"]);
 const MAX_OFFERED = 8; // contacts, the newest
 const MAX_GAPS_S = { contact: 0.5, region: 1 }; // between two values that a line joins; of regions as in the service's integrals
@@ -42,6 +42,7 @@ export class SeriesPanel {
     this._drawn = null;
     /** @type {{shown: string, all: Map<string, Series>}} what a pause keeps, and of which part of what */
     this._kept = { shown: "", all: new Map() };
+    this._still = { newest: 0, since: 0 }; // of the frames: Unix s, and ms from which on none was newer
     this._add = /** @type {HTMLSelectElement} */ (byId("plot-add"));
     this._quantity = /** @type {HTMLSelectElement} */ (byId("plot-quantity"));
     this._span = /** @type {HTMLSelectElement} */ (byId("plot-span"));
@@ -131,12 +132,19 @@ export class SeriesPanel {
     })));
   }
 
+  /** @param {Session} session @returns {number} s for which it has been paused: its series go on, its frames do not */
+  _stillFor(session) {
+    const newest = newestOf(session);
+    if (newest !== this._still.newest) this._still = { newest, since: performance.now() };
+    return session.paused ? (performance.now() - this._still.since) / 1000 : 0;
+  }
+
   async _draw() {
     const session = this._session;
     if (!session) return;
     const { time } = this._viewer;
     const [left, right] = time.ends(newestOf(session));
-    const since = sincePause(session);
+    const since = this._stillFor(session);
     const reach = Math.min(MAX_REACH_S, AHEAD_S[session.paused ? "paused" : "live"] - left + since);
     const points = Math.min(MAX_POINTS, Math.ceil((CHART_POINTS * reach) / (right - left)));
     if (OFFERED_SPANS.has(String(time.span))) this._span.value = String(time.span);
@@ -180,7 +188,7 @@ export class SeriesPanel {
     const frame = session?.history.at(0);
     if (!session || !frame) return;
     try {
-      const since = sincePause(session);
+      const since = this._stillFor(session);
       const until = session.paused ? " before the pause, and since" : "";
       const state = `${document.body.dataset.level}, series of the last ${this._span.selectedOptions[0].text}${until}`;
       const text = seriesCsv(await this._read(session, Number(this._span.value) + since, MAX_POINTS), session.unit, provenance(session.name, frame, session.status, state));
@@ -193,9 +201,6 @@ export class SeriesPanel {
 
 /** @param {Session} session @returns {number} Unix s, of its newest frame; 0 for none */
 const newestOf = ({ history: { trace } }) => trace.times[trace.place(0)] || 0;
-
-/** @param {Session} session @returns {number} s by which series go on after the newest frame: the history stops in a pause */
-const sincePause = (session) => (session.paused && Math.max(0, session.series.newest - newestOf(session))) || 0;
 
 /** @param {string} key @returns {string} what a reader calls it */
 const title = (key) => key.replace("region ", "");
