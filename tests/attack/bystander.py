@@ -45,6 +45,11 @@ def queued_s(pid):
     return seconds
 
 
+def in_line_s(before, now):
+    """How long three threads, which may have waited for each other, stood in line between two `queued_s`."""
+    return sum(sorted(seconds - before.get(thread, seconds) for thread, seconds in now.items())[-3:])
+
+
 def stolen_s():
     """How long the processors were another machine's so far."""
     return int(Path("/proc/stat").read_text().split(maxsplit=9)[8]) / os.sysconf("SC_CLK_TCK")
@@ -76,10 +81,8 @@ class Bystander:
         async with asyncio.timeout(ANSWER_S):
             yield
         seconds = time.monotonic() - began
-        in_line = sorted(now - before.get(thread, now) for thread, now in self._queued().items())
         waits.worst_s = max(waits.worst_s, seconds)
-        # two threads of the service may have waited for each other, and this one for them
-        waits.own_s = max(waits.own_s, seconds - sum(in_line[-3:]) - (stolen_s() - stolen))
+        waits.own_s = max(waits.own_s, seconds - in_line_s(before, self._queued()) - (stolen_s() - stolen))
 
     def _queued(self):
         return queued_s(self._pid) | queued_s(os.getpid())
