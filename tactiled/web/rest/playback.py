@@ -47,7 +47,7 @@ Number = Annotated[int, PathParameter(ge=0, le=1 << 53, description="of the fram
 
 
 class Played(schemas.Schema):
-    """Get a sensor's part of a recording."""
+    """A sensor's part of a recording."""
 
     name: str = Field(examples=["grasp.log"])
     sensor: schemas.SensorName
@@ -220,7 +220,7 @@ def _number_at(sensor: Sensor, recorded: RecordedFrames, position_s: float) -> i
 
 
 def _state(playbacks: Playbacks, sensor: Sensor, recorded: RecordedFrames) -> Response:
-    """Get a sensor's part of a recording, as far as it was read."""
+    """A sensor's part of a recording, as far as it was read."""
     reading, plan = recorded.reading, sensor.plan  # first: more may come meanwhile
     fields: dict[str, Any] = {
         "name": recorded.path.name, "sensor": sensor.name, "reading": reading, "unit": plan.unit,
