@@ -1,5 +1,7 @@
 """The whole service as its users run it: `tactiled run` on two buses, HTTP and WebSocket clients outside of it."""
 
+import re
+
 import numpy as np
 
 from tactiled.bus import recording
@@ -15,6 +17,13 @@ CONFIG = FAST + PALM.replace("can0", "fast") + GRASP.replace('channel = "can0"',
 CONFIG += '[sensor.hand.kernel]\nmodel = "layered"\n'
 
 
+def slower(log, folder):
+    """A recording played at a tenth of its speed: the kernel of these tests has a part of one processor."""
+    path = folder / "slower.log"
+    path.write_text(re.sub(r"\((\S+)\)", lambda time: f"({10 * float(time[1]):.6f})", log.read_text()))
+    return path
+
+
 def test_two_skins_on_two_buses_reach_http_and_websocket(run, until, link, tmp_path):
     config = tmp_path / "two.toml"
     config.write_text(CONFIG.replace('method = "', 'stale_after_s = 5\nmethod = "'))
@@ -25,7 +34,8 @@ def test_two_skins_on_two_buses_reach_http_and_websocket(run, until, link, tmp_p
     with started(config, tmp_path) as service:
         assert fetch("palm")["clock"] == "kernel"
         simulator = run(*TACTILED, "simulate", "--config", config, "--sensor", "palm", "--rate-hz", 10)
-        run("canplayer", "-l", "i", "-t", "-g", 20, "vcan0=can0", "-I", recording.path("book_2"))
+        until(lambda: fetch("palm")["state"] == "live")
+        run("canplayer", "-l", "i", "vcan0=can0", "-I", slower(recording.path("book_2"), tmp_path))
         until(lambda: fetch("palm")["state"] == fetch("hand")["state"] == "live")
 
         assert np.isfinite(np.array(fetch("palm/frames/restored")["values"], float)).all()
