@@ -9,6 +9,8 @@ Python's `websockets` answers pings before the program has read what came before
 ahead than QUEUE WebSocket frames. So the images of a frame that nobody requested go in as many frames as fill that
 queue, unless they would be too many: the program may become slow at any time. A ping that comes with them is
 answered before the queue is found full. So its answer gets a second ping, to whose answer the next frame waits.
+The library answers that one when the program takes the last image that it had, and the program is busy with that
+for a while yet. So the next frame comes HOLD of the time later that the second ping's answer took.
 A client far away, to which each way takes long, gets the images whole as long as it is quick.
 """
 
@@ -31,6 +33,7 @@ LATE_S = 0.1  # an answer after so long is late: the client is slow, or far away
 NEAR_S = 0.005  # the quickest answer of a client that is not far away
 ANSWERS = 16  # of the newest of which it is the quickest
 QUEUE = 16  # frames
+HOLD, MAX_HOLD_S = 1 / 3, 0.25
 MAX_RATE_HZ = 4000.0  # of frames
 SHARE = 1 / 8  # of the newest period in the mean one
 CONTINUED, LAST = b"\x00\x00", b"\x80\x00"  # frames of a message, without data
@@ -44,6 +47,7 @@ class Ping(NamedTuple):
     number: int
     sent: float  # s, monotonic
     again: bool  # another follows its answer
+    second: bool = False  # it followed the answer of another
 
 
 def in_parts(frame: bytes, parts: int) -> bytes:
@@ -90,20 +94,21 @@ class PacedWebSocket(WebSocket):
         now, waiting = time.monotonic(), self._unanswered
         self._quick = self._quick and not (waiting and now > waiting[0].sent + LATE_S)
         parts = self._parts(len(frames), now) if frames and requested is False else 1
-        self.transport.writelines([in_parts(each, parts) for each in frames])
+        messages = [in_parts(each, parts) for each in frames]
         newest, fills = requested is False, parts * len(frames) > QUEUE
         strict = newest and (fills or not self._quick)
         if strict or parts > 1 or self._unpinged >= PING_EVERY:
             self._unpinged = 0.0
-            self._ping(again=newest and fills)
+            messages.append(self._ping(again=newest and fills))  # in the same write: it must arrive with them
             self._most = 1 if strict else MAX_UNANSWERED
             if len(waiting) >= self._most:
                 self._keeps_up.clear()
+        self.transport.writelines(messages)
 
-    def _ping(self, again: bool) -> None:
+    def _ping(self, again: bool, second: bool = False) -> bytes:
         self._pings += 1
-        self._unanswered.append(Ping(self._pings, time.monotonic(), again))
-        self.transport.write(PING + self._pings.to_bytes(8, "big"))
+        self._unanswered.append(Ping(self._pings, time.monotonic(), again, second))
+        return PING + self._pings.to_bytes(8, "big")
 
     def _parts(self, images: int, now: float) -> int:
         """In how many frames each of so many images goes now."""
@@ -120,15 +125,20 @@ class PacedWebSocket(WebSocket):
         if not data.startswith(MARK) or len(data) != len(MARK) + 8:
             super().handle_pong(event)
             return
-        number, waiting = int.from_bytes(data[len(MARK) :], "big"), self._unanswered
+        number, waiting, hold_s = int.from_bytes(data[len(MARK) :], "big"), self._unanswered, 0.0
         while waiting and waiting[0].number <= number:
             ping = waiting.popleft()
             self._answers.append(time.monotonic() - ping.sent)
             self._quick = self._answers[-1] < LATE_S
+            if ping.second and not self._quick:
+                hold_s = min(HOLD * self._answers[-1], MAX_HOLD_S)
             if ping.again and not self.transport.is_closing():
-                self._ping(again=False)
+                self.transport.write(self._ping(again=False, second=True))
         if len(waiting) < (self._most if self._quick else 1):
-            self._keeps_up.set()
+            if hold_s:
+                self.loop.call_later(hold_s, self._keeps_up.set)
+            else:
+                self._keeps_up.set()
 
     def connection_lost(self, exc: Exception | None) -> None:
         """End the wait of an application whose client has left."""

@@ -220,6 +220,18 @@ def test_a_library_that_reads_ahead_of_a_program_that_becomes_slow_has_one_frame
         assert (read(0), read(5)) == ({30}, {35})
 
 
+def test_a_program_that_was_slow_gets_what_is_newest_a_while_after_it_took_the_last_image(rig, url, monkeypatch):
+    for name, value in {"MAX_RATE_HZ": 1e6, "LATE_S": 0.0, "HOLD": 1e6, "MAX_HOLD_S": 2.0}.items():
+        monkeypatch.setattr(pacing, name, value)
+    with stream(url, "?kinds=raw") as client:
+        for newest in (0, 2):
+            rig.show(pressed())
+            time.sleep(0.05)  # in which a library answers pings
+            if newest:
+                rig.show(pressed())
+            assert images(client, 1)[0].sequence == newest
+
+
 def unread(url):
     """A client that reads nothing, not even the answer to its handshake."""
     end = plug(url)
