@@ -32,7 +32,7 @@ from tactiled.live.events import Event as Happening
 from tactiled.live.service import Service
 from tactiled.simulate import SCENES, Player, play
 from tactiled.web.app import create
-from tactiled.web.server import serve
+from tactiled.web.server import need_address, serve
 
 NOISE_KPA = 0.2  # of a simulated taxel
 REAL_BUS, VIRTUAL_BUS = (
@@ -73,10 +73,11 @@ def demo(
     """Simulate a covered array, or play a real recording, and serve it live; needs no hardware."""
     config = demo_config(record, shear)
     with threadpool_limits(1), TemporaryDirectory(prefix="tactiled-demo-", ignore_cleanup_errors=True) as folder:
+        server = _server(host, port, foxglove, folder)
+        need_address(server)
         service = Service(config, report=logs.progress)
         source = _source(record, service, scene, rate_hz, Path(folder))
         with stoppable(), running(service, config, source):
-            server = _server(host, port, foxglove, folder)
             serve(create(service, server, configured(server)), server)
 
 

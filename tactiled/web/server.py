@@ -58,6 +58,11 @@ def _listen(config: Server) -> socket.socket:
     return _bounded(listener)
 
 
+def need_address(config: Server) -> None:
+    """TactileError, one line, where the address cannot be had: before what takes long is done for it."""
+    _listen(config).close()
+
+
 def _bounded(listener: socket.socket) -> socket.socket:
     """Bound the time that each of its connections, in TLS as well, may leave an answer unread."""
     if sys.platform == "linux":

@@ -37,11 +37,12 @@ class Waits:
 
 
 def queued_s(pid):
-    """How long each thread of a process has stood in line for a processor so far."""
+    """How long each thread of a process and of this one has stood in line for a processor so far."""
     seconds = {}
-    for file in Path(f"/proc/{pid}/task").glob("*/schedstat"):
-        with contextlib.suppress(OSError):
-            seconds[file.parent.name] = int(file.read_text().split()[1]) / 1e9
+    for process in (pid, os.getpid()):
+        for file in Path(f"/proc/{process}/task").glob("*/schedstat"):
+            with contextlib.suppress(OSError):
+                seconds[file.parent.name] = int(file.read_text().split()[1]) / 1e9
     return seconds
 
 
@@ -76,16 +77,13 @@ class Bystander:
     @contextlib.asynccontextmanager
     async def _timed(self):
         """One request and its answer."""
-        before, stolen, began, waits = self._queued(), stolen_s(), time.monotonic(), self._waits
+        before, stolen, began, waits = queued_s(self._pid), stolen_s(), time.monotonic(), self._waits
         waits.requests += 1
         async with asyncio.timeout(ANSWER_S):
             yield
         seconds = time.monotonic() - began
         waits.worst_s = max(waits.worst_s, seconds)
-        waits.own_s = max(waits.own_s, seconds - in_line_s(before, self._queued()) - (stolen_s() - stolen))
-
-    def _queued(self):
-        return queued_s(self._pid) | queued_s(os.getpid())
+        waits.own_s = max(waits.own_s, seconds - in_line_s(before, queued_s(self._pid)) - (stolen_s() - stolen))
 
     async def _health(self):
         data = request("GET /api/v1/health", "Connection: close", token=CONTROL)

@@ -56,7 +56,7 @@ def test_check_and_run_refuse_the_same(tmp_path, config, verb):
 def test_wrong_arguments_of_demo_are_refused():
     with socket.create_server(("127.0.0.1", 0)) as listener:
         port = listener.getsockname()[1]
-        message = refusal("demo", "--port", port)
+        message = refusal("demo", "--port", port, "--scene", "flood")  # before what takes long
     assert message == f"address 127.0.0.1:{port}: in use: choose another port, or 0 for any free one"
     for arguments, message in (
         ("--scene flood", "scene = 'flood': no such scene: choose tour or one of ring"),
