@@ -16,6 +16,13 @@ BELOW_ZERO = (122, 140, 255)
 OFFSET = re.compile(r"from \d+ ms (earlier|later)$")
 
 
+def roundest(value):
+    """The least round number that is not below a value."""
+    return min(
+        step * 10**n for n in range(5) for step in (1, 1.2, 1.5, 2, 2.5, 3, 4, 5, 6, 8) if step * 10**n >= value
+    )
+
+
 def test_maps_show_the_data_in_the_colours_of_the_range(rig, url, open_page):
     rig.show(pressed(2))
     page = open_page(f"{url}/#%zz")
@@ -37,6 +44,10 @@ def test_maps_show_the_data_in_the_colours_of_the_range(rig, url, open_page):
             got = page.pixels(name)
             assert (got[..., 3] == 255).all()
             assert (np.abs(got[..., :3] - expected) <= 4).all(), name  # one step of the colours for rounding
+    assert roundest(image.raw.max()) < high
+    page.get_by_label("View").select_option("raw")  # the range is of what is in view
+    page.wait(f"document.getElementById('range-high').value === '{roundest(image.raw.max()):g}'")
+    page.get_by_label("View").select_option("both")
     before = page.painted()
     rig.send(pressed(), drop=[0])
     page.wait(f"{PAINTINGS} > {before}")

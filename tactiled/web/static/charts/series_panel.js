@@ -100,7 +100,9 @@ export class SeriesPanel {
 
   /** Bring the list of what can be added up to date. */
   _offer() {
-    const contacts = this._session?.series.contacts.slice(0, MAX_OFFERED) ?? [];
+    const listed = this._viewer.contactsOfFrame?.contacts.map(({ id }) => id) ?? [];
+    const place = (/** @type {{id: number}} */ { id }) => (listed.includes(id) ? listed.indexOf(id) : listed.length); // the strongest first
+    const contacts = (this._session?.series.contacts ?? []).sort((a, b) => place(a) - place(b)).slice(0, MAX_OFFERED);
     const offers = [...this._regions.map((key) => [key, ""]), ...contacts.map(({ id, ended }) => [`contact ${id}`, ended ? ", ended" : ""])]
       .filter(([key]) => !this._slots.has(key));
     const offered = offers.join();
@@ -185,12 +187,12 @@ export class SeriesPanel {
 
   async _save() {
     const session = this._session;
-    const frame = session?.history.at(0);
+    const frame = session?.frame;
     if (!session || !frame) return;
     try {
       const since = this._stillFor(session);
       const until = session.paused ? " before the pause, and since" : "";
-      const state = `${document.body.dataset.level}, series of the last ${this._span.selectedOptions[0].text}${until}`;
+      const state = `${session.paused ? "paused" : document.body.dataset.level}, series of the last ${this._span.selectedOptions[0].text}${until}`;
       const text = seriesCsv(await this._read(session, Number(this._span.value) + since, MAX_POINTS), session.unit, provenance(session.name, frame, session.status, state));
       download(session.name, frame, "series.csv", new Blob([text], { type: "text/csv" }));
     } catch (error) {

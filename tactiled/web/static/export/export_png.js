@@ -16,7 +16,7 @@ import { UNITS, forceText, lengthText, pressureText } from "../shell/units.js";
 /** @import { ShearArrows } from "../maps/shear_arrows.js" */
 /** @import { Viewer } from "../shell/viewer.js" */
 
-/** @typedef {{title: string, frames: HTMLElement[], of: Measures|null}} Shown a map; of two frames the first ends at the slider */
+/** @typedef {{title: string, right?: string, frames: HTMLElement[], of: Measures|null}} Shown a map; of two frames the first ends at the slider */
 
 export const PICTURE_RATIO = 2; // pixels per px
 const MAP_PX = 640; // px, a map's longer side
@@ -73,7 +73,7 @@ export function picture({ name, plane }, frame, { maps, view, range, shear }, co
 function shownMaps(frame, maps, view) {
   const raw = { title: "Raw", frames: [maps.raw.frame], of: frame.ofRaw };
   const restored = { title: "Restored", frames: [maps.restored.frame], of: frame.ofRestored };
-  if (view === "slider") return [{ title: "Raw | Restored", frames: [maps.raw.frame, maps.restored.frame], of: frame.ofRestored }];
+  if (view === "slider") return [{ title: "Raw", right: "Restored", frames: [maps.raw.frame, maps.restored.frame], of: frame.ofRestored }];
   if (view === "difference") return [{ title: "Restored − raw", frames: [maps.difference.frame], of: null }];
   return view === "raw" ? [raw] : view === "restored" ? [restored] : [raw, restored];
 }
@@ -139,9 +139,10 @@ class Sheet {
    * @param {number} cut share of the map at which the first of two frames ends
    * @param {string[]} below lines
    */
-  map({ title, frames }, x, w, h, plane, cut, below) {
+  map({ title, right, frames }, x, w, h, plane, cut, below) {
     const draw = this._pen;
     this.write(title, x, TOP_PX - 14, 16);
+    if (right) this.write(right, x + w - widest([right], 16), TOP_PX - 14, 16);
     const [first, second] = frames;
     if (second) this._layers(second, x, w, h, plane.isGrid);
     draw.save();

@@ -59,6 +59,7 @@ export class Panels {
       this._kept[kind] = others.length < this._kept[kind].length ? others : [...others, title.id];
       show();
       this._show();
+      if (panel.classList.contains("large")) panel.scrollIntoView({ block: "nearest" });
     });
     show();
     return button;

@@ -267,6 +267,7 @@ export class Viewer {
     for (const each of [this.section, this.forces, this.latencies, this.kernel]) each.chart.restyle();
     this.maps.layout();
     this.kernel.draw();
+    if (this.frame) this.range.show(peakOf(this.frame, this.view), noiseOf(this.frame)); // other images may be in view
     this.refresh();
   }
 
@@ -398,7 +399,7 @@ export class Viewer {
     const { session } = this;
     if (session) this.held.push(frame, session.plane);
     if (session?.paused) this._fit(); // a recording's frame comes some time after it was sought
-    else this.range.follow(peakOf(this.frame ?? frame), noiseOf(frame), frame.timestamp);
+    else this.range.follow(peakOf(this.frame ?? frame, this.view), noiseOf(frame), frame.timestamp);
     this._fresh = true;
     this.refresh();
   }
@@ -406,7 +407,7 @@ export class Viewer {
   /** Fit an automatic range to the frame that is paused. */
   _fit() {
     const frame = this.session?.paused ? this.frame : null;
-    if (frame) this.range.show(peakOf(frame), noiseOf(frame));
+    if (frame) this.range.show(peakOf(frame, this.view), noiseOf(frame));
   }
 
   /** @param {boolean} to */
@@ -436,8 +437,8 @@ export class Viewer {
 /** @param {Session|PlaybackSession} session @returns {number} how far back in the history the frame is that it shows */
 const placeOf = (session) => (session instanceof Session ? session.back + session.freshness.heldBack : 0);
 
-/** @param {Frame} frame @returns {number} the highest pressure that both images know */
-const peakOf = (frame) => Math.max(frame.ofRaw.highest || 0, frame.ofRestored.highest || 0);
+/** @param {Frame} frame @param {View} view @returns {number} the highest pressure that the images in view know */
+const peakOf = ({ ofRaw, ofRestored }, { name }) => Math.max((name !== "restored" && ofRaw.highest) || 0, (name !== "raw" && ofRestored.highest) || 0);
 
 /** @param {Frame} frame @returns {number} the larger noise of both images; 0 where it is unknown */
 const noiseOf = ({ noise, noiseGain }) => (Number.isFinite(noise) ? noise : 0) * Math.max(1, Number.isFinite(noiseGain) ? noiseGain : 1);
