@@ -41,6 +41,7 @@ WATCH_TEXTS = """() => {
       x + size.actualBoundingBoxRight, y + size.actualBoundingBoxDescent].map(each => a * each);
     window.drawn.push({
       id, layer, saved: !isConnected, text, x: a * x, y: a * y, box, end: a * (x + size.width), width, height,
+      color: this.fillStyle,
     });
     fillText.call(this, text, x, y);
   };

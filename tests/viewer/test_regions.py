@@ -155,7 +155,9 @@ def test_the_series_of_a_contact_is_drawn_beside_a_region_and_saved(rig, url, op
     rig.show(pressed(3, force=3000))
     page = open_page(url)
     page.keep(lambda: rig.show(pressed(3, force=3000)), "!!document.querySelector('#contact-list button:enabled')")
+    page.evaluate(WATCH_TEXTS)
     page.locator("#contact-list tbody td").first.click()
+    page.wait("window.drawn.some(each => each.text.startsWith('1: ') && each.color === '#56b4e9')")  # as its line
     page.wait("document.querySelector('#contact-list button').getAttribute('aria-pressed') === 'true'")
     page.wait("[...document.querySelectorAll('#plot-add option')].some(each => each.value === 'region heel')")
     page.get_by_label("Add a region or contact").select_option("region heel")

@@ -67,6 +67,7 @@ export class SeriesPanel {
 
   /** Draw a series, or no longer. @param {string} key */
   _toggle(key) {
+    this._slots = new Map(this._slots); // another: labels of contacts have its colours
     const used = [...this._slots.values()];
     const free = DASHES.findIndex((_, slot) => !used.includes(slot));
     if (!this._slots.delete(key)) {
@@ -74,6 +75,7 @@ export class SeriesPanel {
       else this._slots.set(key, free);
     }
     this._update();
+    this._viewer.refresh();
   }
 
   _update() {
@@ -81,7 +83,7 @@ export class SeriesPanel {
     if (session !== this._session) {
       this._drawn = null;
       this._session = session instanceof Session ? session : null;
-      this._slots.clear();
+      this._slots = new Map();
     }
     this._viewer.charted = this._session && this._slots;
     const regions = this._regions;

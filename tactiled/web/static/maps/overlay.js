@@ -6,6 +6,7 @@
 
 import { fitCanvas, context2d } from "../shell/dom.js";
 import { ACROSS } from "./geometry.js";
+import { SERIES } from "./region_layer.js";
 import { SATURATED } from "../wire/wire.js";
 
 /** @import { ContactOutline } from "./contact_outline.js" */
@@ -23,6 +24,7 @@ import { SATURATED } from "../wire/wire.js";
  * @property {boolean} pinned
  * @property {Contact[]|null} contacts null where they are not to be shown
  * @property {Map<number, string>} labels of contacts by id, as the table has them
+ * @property {Map<string, number>|null} slots of series by "contact 3": its label has the series' colour
  * @property {ContactOutline} outline of the contacts
  * @property {number} outlined number of the frame that the outlines are of
  * @property {readonly {x: number, y: number, wide: number}[]} names of regions, CSS px by their lower left corner: labels keep off them
@@ -51,7 +53,7 @@ export class Overlay {
     /** What is drawn, but for crosses on saturated taxels; `known` is false where it must be redrawn. */
     this._last = {
       known: false, along: "", lineAt: NaN, probeX: NaN, probeY: NaN, ringX: NaN, ringY: NaN, pinned: false,
-      contacts: /** @type {Contact[]|null} */ (null), labels: /** @type {Map<number, string>|null} */ (null), outlined: -1, names: /** @type {Marks["names"]|null} */ (null),
+      contacts: /** @type {Contact[]|null} */ (null), labels: /** @type {Map<number, string>|null} */ (null), outlined: -1, names: /** @type {Marks["names"]|null} */ (null), slots: /** @type {Marks["slots"]} */ (null),
     };
   }
 
@@ -109,13 +111,14 @@ export class Overlay {
     const ringed = !marks.contacts && measures.contact;
     const ringX = ringed ? measures.x : NaN;
     const ringY = ringed ? measures.y : NaN;
-    if (last.known && !crossed && last.contacts === marks.contacts && last.labels === marks.labels && last.names === marks.names && last.outlined === marks.outlined && last.pinned === marks.pinned
+    if (last.known && !crossed && last.contacts === marks.contacts && last.labels === marks.labels && last.names === marks.names && last.slots === marks.slots && last.outlined === marks.outlined && last.pinned === marks.pinned
       && last.along === marks.along && Object.is(last.lineAt, marks.lineAt) && Object.is(last.ringX, ringX) && Object.is(last.ringY, ringY)
       && Object.is(last.probeX, marks.probeX) && Object.is(last.probeY, marks.probeY)) return true;
     last.known = !crossed;
     last.contacts = marks.contacts;
     last.labels = marks.labels;
     last.names = marks.names;
+    last.slots = marks.slots;
     last.outlined = marks.outlined;
     last.pinned = marks.pinned;
     last.along = marks.along;
@@ -128,7 +131,7 @@ export class Overlay {
   }
 
   /** @param {Contact[]} contacts @param {Marks} marks @param {Plane} plane */
-  _contacts(contacts, { outline, labels }, plane) {
+  _contacts(contacts, { outline, labels, slots }, plane) {
     const draw = this._pen;
     const minAxis = MIN_AXIS_PX * this._ratio;
     const { edges } = outline;
@@ -158,7 +161,12 @@ export class Overlay {
     draw.textBaseline = "middle";
     draw.textAlign = "center";
     draw.lineJoin = "round";
-    for (let i = 0; i < contacts.length; i += 1) if (outline.cells[i]) this._label(contacts[i], labels.get(contacts[i].id) ?? "", outline, i, plane);
+    for (let i = 0; i < contacts.length; i += 1) {
+      if (!outline.cells[i]) continue;
+      const { id } = contacts[i];
+      draw.fillStyle = (slots?.size && SERIES[slots.get(`contact ${id}`) ?? -1]) || "#fff";
+      this._label(contacts[i], labels.get(id) ?? "", outline, i, plane);
+    }
   }
 
   /**
@@ -215,7 +223,6 @@ export class Overlay {
     draw.lineWidth = 3.5 * this._ratio;
     draw.strokeStyle = "rgb(0 0 0 / 85%)";
     draw.strokeText(text, x, y);
-    draw.fillStyle = "#fff";
     draw.fillText(text, x, y);
     return true;
   }

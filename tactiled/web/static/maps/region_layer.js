@@ -9,7 +9,7 @@ const TEXT_PX = 12; // CSS px
 const HANDLE_PX = 5; // radius
 
 /** Of series by slot, as style.css has them for a dark page: maps are dark. */
-const SERIES = ["#56b4e9", "#ff9d5c", "#19a87c", "#e8a0cc", "#e7edf3", "#f0d24c"];
+export const SERIES = ["#56b4e9", "#ff9d5c", "#19a87c", "#e8a0cc", "#e7edf3", "#f0d24c"];
 
 /** @typedef {{name: string, shape: Shape, points_mm: [number, number][], exceeded: boolean, slot?: number}} Outline of a region; `slot` is of its series */
 
