@@ -49,6 +49,7 @@ class Contacts:
     unit: Unit
     force_unit: ForceUnit
     contacts: tuple[Contact, ...]
+    unknown_cells: int | None = None  # where no contact is found, as their pressure is unknown; None: not told
 
 
 @dataclass(frozen=True, slots=True)

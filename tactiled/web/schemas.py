@@ -251,6 +251,9 @@ class Contacts(FrameId, Message):
     type: Literal["contacts"] = "contacts"
     unit: Unit
     force_unit: units.ForceUnit = Field(examples=["N"])
+    unknown_cells: int = Field(
+        description="cells whose pressure is unknown: no contact is found there", examples=[0]
+    )
     contacts: tuple[Contact, ...]
 
 

@@ -107,7 +107,11 @@ def test_contacts_are_those_of_the_service(images, rig, url):  # noqa: ARG001
     _, (expected,) = rig.sensor.contacts()
     (contact,) = contacts.contacts
     assert all(getattr(contact, name) == getattr(expected, name) for name in contact.__slots__)
-    assert (contacts.sequence, contacts.unit, contacts.force_unit) == (10, "kPa", "N")
+    assert (contacts.sequence, contacts.unit, contacts.force_unit, contacts.unknown_cells) == (10, "kPa", "N", 0)
+    rig.send(pressed(), drop=[0])
+    until(lambda: rig.sensor.hub.latest().sequence > 10)
+    hole = np.count_nonzero(np.isnan(rig.sensor.hub.latest().restored))
+    assert connect(url).contacts("palm").unknown_cells == hole > 0
 
 
 def test_regions_hold_what_the_newest_image_has(rig, url, client):
