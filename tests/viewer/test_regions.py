@@ -170,7 +170,7 @@ def test_the_series_of_a_contact_is_drawn_beside_a_region_and_saved(rig, url, op
     page.keyboard.press("Space")  # a pause keeps what is drawn, however long it lasts
     page.wait(f"{INK} > 5")
     drawn = page.evaluate("performance.now()")
-    page.keep(lambda: rig.show(pressed(3, force=3000)), f"performance.now() > {drawn} + 3500")
+    page.keep(lambda: rig.show(pressed(3, force=3000)), f"performance.now() > {drawn} + 6500")
     page.wait(f"{INK} > 5")  # not at every moment: a busy page may be drawing it anew
     page.wait_for_timeout(2e3 * MIN_GAP_S)  # a series leaves images out that follow at once
     image = rig.show(pressed(3, force=3000))
