@@ -164,7 +164,7 @@ def test_the_series_of_a_contact_is_drawn_beside_a_region_and_saved(rig, url, op
     assert page.locator("#plot-key").inner_text().split("\n") == ["contact 1 ✕", "heel ✕"]
     page.locator("#plot-quantity").select_option("mean")  # whose lines are apart
     page.get_by_role("button", name="Enlarge Series").click()
-    for _ in range(4):  # to the last 2 s
+    for _ in range(2):  # to the last 4.4 s
         page.locator("#plot-chart").locator("..").get_by_role("button", name="Zoom in").click()
     page.keep(lambda: rig.show(pressed(3, force=3000)), f"{INK} > 5")
     page.keyboard.press("Space")  # a pause keeps what is drawn, however long it lasts
