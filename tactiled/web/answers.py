@@ -149,10 +149,13 @@ def contacts(sensor: SensorView) -> schemas.Contacts | None:
     image, contacts = sensor.contacts()
     if image is None:
         return None
-    units = {"unit": image.unit, "force_unit": FORCE_UNITS[image.unit]}
-    unknown = int(np.count_nonzero(np.isnan(image.restored) & sensor.cells.felt))
-    fields = _message(image, sensor.status()) | units | {"unknown_cells": unknown}
-    return schemas.Contacts(**fields, contacts=listed(contacts, image.unit))
+    return schemas.Contacts(
+        **_message(image, sensor.status()),
+        unit=image.unit,
+        force_unit=FORCE_UNITS[image.unit],
+        unknown_cells=int(np.count_nonzero(np.isnan(image.restored) & sensor.cells.felt)),
+        contacts=listed(contacts, image.unit),
+    )
 
 
 def listed(contacts: Iterable[DetectedContact], unit: Unit) -> list[dict[str, Any]]:
