@@ -50,7 +50,7 @@ def test_it_holds_the_arrays_of_npz_in_chunks_of_frames_with_units_and_provenanc
             "time": "seconds since 1970-01-01", "positions_mm": "mm", "cells_mm": "mm"
         }  # fmt: skip
         assert dict(got["flags"].attrs) == {
-            "long_name": "bits, as in flag_bits",
+            "long_name": "what is wrong with each taxel's value: a sum of flag_masks",
             "flag_masks": [*about["flag_bits"].values()],
             "flag_meanings": "missing bad dead saturated out_of_range faulty below_zero",
         }

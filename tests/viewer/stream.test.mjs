@@ -149,6 +149,24 @@ test("a still image keeps its own method, and details of the status nearest in t
   assert.equal(session.frame.sequence, 42);
 });
 
+test("a pause stands at the frame whose contacts have come, if that is of late", () => {
+  const { session, socket } = watch();
+  const contacts = (sequence, found) =>
+    ({ type: "contacts", unit: "kPa", sequence, timestamp: sequence / 10, contacts: found });
+  socket.deliver(...frame(10), contacts(10, [{}]), ...frame(11));
+  session.pause(true);
+  assert.deepEqual([session.frame.sequence, session.back], [10, 1]);
+  session.pause(true);
+  session.show(0);
+  assert.equal(session.frame.sequence, 11);
+  for (const [sequence, message] of [[13, contacts(11, [{}])], [14, contacts(13, [])]]) {
+    session.pause(false);
+    socket.deliver(message, ...frame(sequence));
+    session.pause(true);
+    assert.equal(session.frame.sequence, sequence); // 200 ms later, and where there are none
+  }
+});
+
 test("frames of another run or another shape are not mixed with those before", () => {
   const { session, socket, events } = watch();
   socket.deliver(...frame(10), ...frame(11), ...frame(11 + 601));

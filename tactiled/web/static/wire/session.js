@@ -32,6 +32,7 @@ const MAX_STATUSES = 128; // more than ten seconds at ten a second
 const STATUS_WITHIN_S = 1; // of the frame that it is shown with
 const MAX_CONTACTS = 256; // messages: more than ten seconds at twenty a second
 const CONTACTS_WITHIN_S = 0.25;
+const PAUSED_WITHIN_S = 0.15; // of the newest frame: what a pause shows for the sake of contacts
 const MAX_GAP_S = 60; // between two frames of one run
 
 export class Session {
@@ -113,13 +114,23 @@ export class Session {
     this.stream.move(api.streamUrl(this.name, contacts, this._asked), this._asked);
   }
 
-  /** @param {boolean} to */
+  /** @param {boolean} to stand still, at the newest frame or the one before it whose contacts have come */
   pause(to) {
+    if (to && !this.paused) this.back = this._withContacts();
     this.paused = to;
     this.freshness.release(); // while paused every frame that is kept may be
     if (to) return;
     this.back = 0;
     this._request();
+  }
+
+  /** @returns {number} how far back the newest contacts are of: 0 where there are none, or none of late */
+  _withContacts() {
+    const { contacts: { newest }, history } = this;
+    const from = (history.at(0)?.timestamp ?? 0) - PAUSED_WITHIN_S;
+    if (!newest?.contacts.length || newest.timestamp < from) return 0;
+    for (let back = 0; back < history.length; back += 1) if (history.at(back)?.sequence === newest.sequence) return back;
+    return 0;
   }
 
   /** Show another kept frame; the picture stands still from then on. @param {number} to how far back */
