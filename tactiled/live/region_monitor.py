@@ -138,13 +138,14 @@ class RegionSeries:
             integrals = self._impulse, self._pressure_time
             return Summary(self._now, highest, *integrals, self._since, self.exceeded, self._unit)
 
-    def series(self, seconds: float, points: int) -> "Series":
-        """The last `seconds`; of more than `points` images the ones of highest peak."""
+    def series(self, seconds: float, points: int, until: float | None = None) -> "Series":
+        """The last `seconds` before time `until` (s), or the newest; of more than `points` images the highest peaks'."""
         with self._lock:
             length = min(self._count, len(self._time))
             order = np.arange(self._count - length, self._count) % len(self._time)
             series = Series(self._time[order], self._values[order], self._missing[order], self._unit)
-        series = series.of(slice(np.searchsorted(series.time, series.time[-1] - seconds) if length else 0, None))
+        end = length if until is None else int(np.searchsorted(series.time, until, "right"))
+        series = series.of(slice(np.searchsorted(series.time, series.time[end - 1] - seconds) if end else 0, end))
         if len(series.time) <= points:
             return series
         bounds = np.linspace(0, len(series.time), points + 1).astype(int)

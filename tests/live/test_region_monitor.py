@@ -92,6 +92,9 @@ def test_a_series_is_of_the_last_seconds_and_keeps_peaks_where_it_is_thinned(mon
     assert len(time) == 20
     assert (np.diff(time) > 0).all()
     assert (values[:, 2].max(), time[values[:, 2].argmax()]) == (90, 17.77)
+    time, values, *_ = monitor.series["west"].series(10, 100_000, 17.77)
+    assert (len(time), time[-1], values[-1, 2]) == (1001, 17.77, 90)
+    assert len(monitor.series["west"].series(10, 20, -1.0).time) == 0
     monitor.watch(image(5, 20.0, "counts"))  # another unit: a series has one
     time, values, _, unit = monitor.series["west"].series(10, 20)
     assert (len(time), unit, values[0, 0]) == (1, "counts", 5)

@@ -167,18 +167,21 @@ def test_the_series_of_a_contact_is_drawn_beside_a_region_and_saved(rig, url, op
     for _ in range(2):  # to the last 4.4 s
         page.locator("#plot-chart").locator("..").get_by_role("button", name="Zoom in").click()
     page.keep(lambda: rig.show(pressed(3, force=3000)), f"{INK} > 5")
-    page.keyboard.press("Space")  # a pause keeps what is drawn, however long it lasts
+    page.keyboard.press("Space")  # a pause keeps what is drawn, however long it lasts, and its series end
+    until_s = rig.sensor.hub.latest().time
     page.wait(f"{INK} > 5")
     drawn = page.evaluate("performance.now()")
     page.keep(lambda: rig.show(pressed(3, force=3000)), f"performance.now() > {drawn} + 6500")
     page.wait(f"{INK} > 5")  # not at every moment: a busy page may be drawing it anew
+    assert max(float(line.split(",")[0]) for line in rows(page)[0]) < until_s + 1e-5
+    page.press("l")
     page.wait_for_timeout(2e3 * MIN_GAP_S)  # a series leaves images out that follow at once
     image = rig.show(pressed(3, force=3000))
     until(lambda: float(rows(page)[0][-1].split(",")[0]) == pytest.approx(image.time, abs=1e-5))
     values, comments = rows(page)
     assert comments[-1] == "time_s,kind,name,force_N,mean_kPa,peak_kPa,area_mm2,x_mm,y_mm"
     assert {"# sensor: palm", "# calibration: configured"} <= set(comments)
-    assert any(line.startswith("# warnings") for line in comments)  # of which moment, too, in a pause
+    assert any(line.startswith("# warnings") for line in comments)
     assert {tuple(line.split(",")[1:3]) for line in values} == {("contact", "1"), ("region", "heel")}
     (contact,) = ask("GET", f"{url}/api/v1/sensors/palm/contacts").json()["contacts"]
     newest = [line.split(",") for line in values if ",contact," in line][-1]
@@ -189,7 +192,6 @@ def test_the_series_of_a_contact_is_drawn_beside_a_region_and_saved(rig, url, op
         assert page.violations() == []
     page.resize(1280, 860)
     page.locator("#plot-chart").locator("..").get_by_role("button", name="Show all").click()
-    page.press("l")
     end = page.keep(lambda: rig.show(pressed(3, force=3000)), f"{INK} > 5 && {END}")
     page.route("**/regions/heel/series*", lambda _: None)  # while no answer comes, its line moves on with the time
     page.keep(lambda: rig.show(pressed(3, force=3000)), f"{END} < {end} - 60")

@@ -123,6 +123,9 @@ def series(
     sensor: NamedSensor,
     region: RegionName,
     seconds: Annotated[float, Query(gt=0, le=SERIES_S, description="before the newest image")] = 60.0,
+    until: Annotated[
+        float | None, Query(allow_inf_nan=False, description="`timestamp` of the image that counts as the newest")
+    ] = None,
     points: Annotated[
         int, Query(ge=2, le=MAX_POINTS, description="at most; of more images the ones of highest peak")
     ] = MAX_POINTS,
@@ -131,7 +134,7 @@ def series(
     ] = "json",
 ) -> Response:
     """Get force, mean, peak and contact area of a region, image by image."""
-    kept = watched(sensor, region).series(seconds, points)
+    kept = watched(sensor, region).series(seconds, points, until)
     if form == "csv":
         head = f"# sensor: {sensor.name}\n# region: {region}\n# time_s: Unix time\n"
         return Response(head + _csv(kept), media_type="text/csv")

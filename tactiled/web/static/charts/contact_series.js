@@ -53,18 +53,19 @@ export class ContactSeries {
 
   /**
    * @param {number} id of a contact
-   * @param {number} seconds before the newest message
+   * @param {number} seconds before the newest message, or before `until`
+   * @param {number|null} until Unix s; null: go on to the newest
    * @returns {Series} with null where a message came without it, so that no line goes on there; mean is force over area
    */
-  of(id, seconds) {
+  of(id, seconds, until = null) {
     /** @type {Required<Series>} */
     const series = { unit: UNITS[this.unit], time: [], force: [], mean: [], peak: [], area: [], x: [], y: [] };
     const { _rows: rows, _capacity: capacity, newest } = this;
     const oldest = Math.max(0, this._count - capacity);
     let first = this._count;
-    while (first > oldest && rows[((first - 1) % capacity) * ROW] >= newest - seconds) first -= 1;
+    while (first > oldest && rows[((first - 1) % capacity) * ROW] >= (until ?? newest) - seconds) first -= 1;
     let message = 0;
-    for (let i = first; i < this._count; i += 1) {
+    for (let i = first; i < this._count && rows[(i % capacity) * ROW] <= (until ?? newest); i += 1) {
       const at = (i % capacity) * ROW;
       if (rows[at + 2] !== id) continue;
       if (message && rows[at + 1] > message + 1) add(series, rows[at], null, null, null, null, null, null);

@@ -21,8 +21,8 @@ const POLL_MS = 500;
 const CHART_POINTS = 600; // of a region
 const MAX_POINTS = 60_000;
 const MAX_REACH_S = 600;
-const AHEAD_S = { live: 1, paused: 15 }; // by which the service may be ahead of this page
-const SETTLED_S = 5; // after which all is known of what came before a pause
+const AHEAD_S = 1; // by which the service may be ahead of this page
+const SETTLED_READS = 10; // in a pause: contacts of its last frames come late
 const OFFERED_SPANS = new Set(["10", "60", "600"]);
 const MAX_OFFERED = 8; // contacts: those that are listed, then the newest
 const MAX_GAPS_S = { contact: 0.5, region: 1 }; // between two values that a line joins; of regions as in the service's integrals
@@ -40,9 +40,8 @@ export class SeriesPanel {
     this._offered = this._listed = "";
     /** @type {{axes: Axes, lines: Line[]}|null} what was read last */
     this._drawn = null;
-    /** @type {{shown: string, all: Map<string, Series>}} what a pause keeps, and of which part of what */
-    this._kept = { shown: "", all: new Map() };
-    this._still = { newest: 0, since: 0 }; // of the frames: Unix s, and ms from which on none was newer
+    /** @type {{shown: string, reads: number, all: Map<string, Series>}} what was read last, of which part of what, and how often */
+    this._kept = { shown: "", reads: 0, all: new Map() };
     this._add = /** @type {HTMLSelectElement} */ (byId("plot-add"));
     this._quantity = /** @type {HTMLSelectElement} */ (byId("plot-quantity"));
     this._span = /** @type {HTMLSelectElement} */ (byId("plot-span"));
@@ -131,37 +130,30 @@ export class SeriesPanel {
   async _read(session, seconds, points) {
     return new Map(await Promise.all([...this._slots.keys()].map(async (key) => {
       const name = key.slice(key.indexOf(" ") + 1);
-      const series = key.startsWith("contact ") ? session.series.of(Number(name), seconds) : await api.regionSeries(session.name, name, seconds, points);
+      const series = key.startsWith("contact ") ? session.series.of(Number(name), seconds, session.until) : await api.regionSeries(session.name, name, seconds, session.until, points);
       return /** @type {[string, Series]} */ ([key, unitOf(series.unit) === session.unit ? series : { unit: series.unit, time: [] }]);
     })));
-  }
-
-  /** @param {Session} session @returns {number} s for which it has been paused: its series go on, its frames do not */
-  _stillFor(session) {
-    const newest = newestOf(session);
-    if (newest !== this._still.newest) this._still = { newest, since: performance.now() };
-    return session.paused ? (performance.now() - this._still.since) / 1000 : 0;
   }
 
   async _draw() {
     const session = this._session;
     if (!session) return;
     const { time } = this._viewer;
-    const [left, right] = time.ends(newestOf(session));
-    const since = this._stillFor(session);
-    const reach = Math.min(MAX_REACH_S, AHEAD_S[session.paused ? "paused" : "live"] - left + since);
+    const [left, right] = time.ends(session.newest);
+    const reach = Math.min(MAX_REACH_S, AHEAD_S - left);
     const points = Math.min(MAX_POINTS, Math.ceil((CHART_POINTS * reach) / (right - left)));
     if (OFFERED_SPANS.has(String(time.span))) this._span.value = String(time.span);
     const quantity = /** @type {Quantity} */ (this._quantity.value);
-    const shown = [...this._slots.keys(), newestOf(session), left, right].join();
-    let all = session.paused && this._kept.shown === shown ? this._kept.all : null; // the service keeps ten minutes
+    const shown = [...this._slots.keys(), session.newest, left, right].join();
+    const reads = session.paused && this._kept.shown === shown ? this._kept.reads : 0;
+    let all = reads < SETTLED_READS ? null : this._kept.all; // a pause may be longer than what the service keeps
     try {
       all ??= await this._read(session, reach, points);
     } catch {
       return; // the page says already that the service does not answer
     }
     if (session !== this._session) return;
-    this._kept = { shown: since > SETTLED_S ? shown : "", all };
+    this._kept = { shown, reads: reads + 1, all };
     const { status } = session;
     const frames_s = MAX_GAP_FRAMES / (status?.rate_hz || Infinity);
     const lines = [...all].map(([key, series]) => {
@@ -180,7 +172,7 @@ export class SeriesPanel {
   _follow() {
     const { _session: session, _drawn: drawn } = this;
     if (!session || !drawn || !this._slots.size) return;
-    const newest = newestOf(session);
+    const { newest } = session;
     [drawn.axes.left, drawn.axes.right] = this._viewer.time.ends(newest);
     for (const each of drawn.lines) each.zero = newest;
     const { frame, paused } = session;
@@ -192,19 +184,14 @@ export class SeriesPanel {
     const frame = session?.frame;
     if (!session || !frame) return;
     try {
-      const since = this._stillFor(session);
-      const until = session.paused ? " before the pause, and since" : "";
-      const state = `${session.paused ? "paused" : document.body.dataset.level}, series of the last ${this._span.selectedOptions[0].text}${until}`;
-      const text = seriesCsv(await this._read(session, Number(this._span.value) + since, MAX_POINTS), session.unit, provenance(session.name, frame, session.status, state));
+      const state = `${session.paused ? "paused" : document.body.dataset.level}, series of the last ${this._span.selectedOptions[0].text}`;
+      const text = seriesCsv(await this._read(session, Number(this._span.value), MAX_POINTS), session.unit, provenance(session.name, frame, session.status, state));
       download(session.name, frame, "series.csv", new Blob([text], { type: "text/csv" }));
     } catch (error) {
       notice(`Series not saved: ${messageOf(error)}`, true);
     }
   }
 }
-
-/** @param {Session} session @returns {number} Unix s, of its newest frame; 0 for none */
-const newestOf = ({ history: { trace } }) => trace.times[trace.place(0)] || 0;
 
 /** @param {string} key @returns {string} what a reader calls it */
 const title = (key) => key.replace("region ", "");

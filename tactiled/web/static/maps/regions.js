@@ -11,6 +11,7 @@ import { RegionLayer } from "./region_layer.js";
 import { cellsIn, measureRegion } from "./region_measure.js";
 import { messageOf, notice, withdraw } from "../shell/notice.js";
 import { PlaybackSession } from "../playback/playback_session.js";
+import { Session } from "../wire/session.js";
 import { withToken } from "../wire/token_dialog.js";
 import { FORCE_UNITS, forceNumber, forceText, pressureText, unitOf, unitOfQuantity } from "../shell/units.js";
 
@@ -21,7 +22,6 @@ import { FORCE_UNITS, forceNumber, forceText, pressureText, unitOf, unitOfQuanti
 
 const POLL_MS = 250;
 const CHART_POINTS = 600;
-const MAX_SERIES_S = 600; // that the service gives
 const MAX_GAP_S = 1; // between two values that the line joins, as in the service's integrals
 const QUIET_MS = 60_000; // after a notice of a threshold that is exceeded again and again
 const SHAPES = /** @type {Shape[]} */ (["rectangle", "ellipse", "polygon"]);
@@ -55,7 +55,7 @@ export class Regions {
     this._plotting = Promise.resolve();
     /** @type {{shape: Shape, points_mm: [number, number][], name?: string}|null} in the dialog */
     this._chosen = null;
-    this._still = { name: "", since: 0 }; // what the dialog's chart shows of a pause, and since when (ms)
+    this._still = ""; // what the dialog's chart shows of a pause: it stands still then
     for (const shape of SHAPES) byId(`region-${shape}`).addEventListener("click", () => this._toggle(shape));
     byId("region-save").addEventListener("click", () => this._save());
     byId("region-delete").addEventListener("click", (event) => confirmed(/** @type {HTMLButtonElement} */ (event.currentTarget)) && this._act("Not deleted", (name) => api.removeRegion(this._owner, name), true));
@@ -291,18 +291,18 @@ export class Regions {
     ];
     ["force", "peak", "impulse", "integral"].forEach((id, i) => setText(byId(`region-${id}`), texts[i]));
     const span = Number(this._span.value);
-    const still = this._viewer.session?.paused ? `${region.name}, ${span}` : "";
-    const goesOn = !still || still !== this._still.name;
-    if (goesOn) this._still = { name: still, since: performance.now() };
-    const seconds = Math.min(MAX_SERIES_S, span + Math.round((performance.now() - this._still.since) / 1000)); // with what came since
+    const { session } = this._viewer;
+    const until = session instanceof Session ? session.until : null;
+    const still = until === null ? "" : [region.name, span, until].join();
     const link = /** @type {HTMLAnchorElement} */ (byId("region-csv"));
-    link.href = api.regionCsv(this._owner, region.name, seconds);
+    link.href = api.regionCsv(this._owner, region.name, span, until);
     link.download = `${this._owner}-${region.name}.csv`;
-    if (!goesOn) return;
+    if (still && still === this._still) return;
     try {
-      const { time, force } = await api.regionSeries(this._owner, region.name, span, CHART_POINTS);
+      const { time, force } = await api.regionSeries(this._owner, region.name, span, until, CHART_POINTS);
       const of = gappedLine(time, force ?? [], MAX_GAP_S + span / CHART_POINTS, "restored");
       of.zero = time[time.length - 1] ?? 0;
+      this._still = still;
       const top = roundUp(Math.max(unit ? 100 : 0.1, ...of.y.filter(Number.isFinite)));
       this._chart.draw({ left: -span, right: 0, bottom: 0, top, x: "time, s", y: FORCE_UNITS[unit] }, [of]);
     } catch (error) {

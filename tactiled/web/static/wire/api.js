@@ -269,14 +269,19 @@ export const resetRegion = (name, region) => request(`${atRegion(name, region)}/
  * @param {string} name
  * @param {string} region
  * @param {number} seconds
+ * @param {number|null} until Unix s, where they end; null: at the newest image
  * @param {number} points at most
  * @returns {Promise<Series>}
  */
-export const regionSeries = (name, region, seconds, points) =>
-  request(`${atRegion(name, region)}/series?seconds=${seconds}&points=${points}`);
+export const regionSeries = (name, region, seconds, until, points) =>
+  request(`${atRegionSeries(name, region, seconds, until)}&points=${points}`);
 
-/** @param {string} name @param {string} region @param {number} seconds @returns {string} where the series is to be had */
-export const regionCsv = (name, region, seconds) => `${ROOT}${atRegion(name, region)}/series?format=csv&seconds=${seconds}`;
+/** @param {string} name @param {string} region @param {number} seconds @param {number|null} until as of regionSeries @returns {string} where the series is to be had */
+export const regionCsv = (name, region, seconds, until) => `${ROOT}${atRegionSeries(name, region, seconds, until)}&format=csv`;
+
+/** @param {string} name @param {string} region @param {number} seconds @param {number|null} until @returns {string} */
+const atRegionSeries = (name, region, seconds, until) =>
+  `${atRegion(name, region)}/series?seconds=${seconds}${until === null ? "" : `&until=${until}`}`;
 
 /** @param {string} name @returns {Promise<Calibration>} */
 export const calibration = (name) => request(`${at(name)}/calibration`);

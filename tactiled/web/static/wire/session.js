@@ -89,6 +89,16 @@ export class Session {
     return this.history.at(this.back + this.freshness.heldBack);
   }
 
+  /** @returns {number} Unix s, of the newest kept frame; 0 for none */
+  get newest() {
+    return this.history.at(0)?.timestamp ?? 0;
+  }
+
+  /** @returns {number|null} Unix s, where series end in a pause; null where they go on */
+  get until() {
+    return this.paused ? this.newest : null;
+  }
+
   /** @returns {Status|null} of the frame that is shown still, or the nearest in time; else the newest */
   get statusOfFrame() {
     const { frame } = this;
@@ -127,8 +137,7 @@ export class Session {
   /** @returns {number} how far back the newest contacts are of: 0 where there are none, or none of late */
   _withContacts() {
     const { contacts: { newest }, history } = this;
-    const from = (history.at(0)?.timestamp ?? 0) - PAUSED_WITHIN_S;
-    if (!newest?.contacts.length || newest.timestamp < from) return 0;
+    if (!newest?.contacts.length || newest.timestamp < this.newest - PAUSED_WITHIN_S) return 0;
     for (let back = 0; back < history.length; back += 1) if (history.at(back)?.sequence === newest.sequence) return back;
     return 0;
   }
