@@ -139,7 +139,7 @@ class RegionSeries:
             return Summary(self._now, highest, *integrals, self._since, self.exceeded, self._unit)
 
     def series(self, seconds: float, points: int, until: float | None = None) -> "Series":
-        """The last `seconds` before time `until` (s), or the newest; of more than `points` images the highest peaks'."""
+        """The last `seconds` before `until` (s), or the newest; of more than `points` images the highest ones."""
         with self._lock:
             length = min(self._count, len(self._time))
             order = np.arange(self._count - length, self._count) % len(self._time)

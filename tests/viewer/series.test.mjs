@@ -31,6 +31,7 @@ test("a contact has its values at every message, and a gap where a message came 
   assert.equal(mean[0], 2.5); // 0.01 N on 4 mm²
   assert.deepEqual(series.of(2, 60).force, [0.02, 0.02, 0.02]);
   assert.deepEqual(series.of(2, 0.45).time, [1.05, 1.1]);
+  assert.deepEqual(series.of(2, 0.02, 1.06).time, [1.05]);
   assert.deepEqual(series.contacts, [{ id: 3, ended: false }, { id: 2, ended: true }, { id: 1, ended: true }]);
 });
 
