@@ -1,19 +1,23 @@
 """All that the package uses of python-can; no other module imports it, or calls its private names."""
 
 import time
+from contextlib import suppress
+from queue import Empty
 
 from can import VALID_INTERFACES, Bus, BusABC
 from can import Message as CanMessage
 from can import io as formats
 from can.interfaces.slcan import slcanBus as SlcanBus
 from can.interfaces.socketcan import SocketcanBus
+from can.interfaces.virtual import VirtualBus
 from can.io import blf
 from can.io.generic import MessageReader, MessageWriter
 from can.util import channel2int, dlc2len
 
 __all__ = [
     "VALID_INTERFACES", "Bus", "BusABC", "CanMessage", "MessageReader", "MessageWriter", "SlcanBus",
-    "SocketcanBus", "blf", "channel2int", "dlc2len", "filters_in_kernel", "formats", "receive", "unended_line",
+    "SocketcanBus", "blf", "channel2int", "dlc2len", "close", "filters_in_kernel", "formats", "receive",
+    "unended_line",
 ]  # fmt: skip
 
 
@@ -26,6 +30,15 @@ def receive(bus: BusABC, timeout: float) -> CanMessage | None:
             return frame
         if time.monotonic() >= end:
             return None
+
+
+def close(bus: BusABC) -> None:
+    """Close a bus. A sender that waits for room in the queue of a virtual one goes on: python-can leaves it there."""
+    bus.shutdown()
+    if isinstance(bus, VirtualBus):
+        with suppress(Empty):
+            while True:
+                bus.queue.get_nowait()
 
 
 def filters_in_kernel(bus: BusABC) -> bool:

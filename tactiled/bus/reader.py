@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from tactiled.bus import driver_errors
+from tactiled.bus import canbus, driver_errors
 from tactiled.bus.batch import EXTENDED, Batch
 from tactiled.bus.canbus import VALID_INTERFACES, Bus, BusABC, CanMessage, SocketcanBus, filters_in_kernel, receive
 from tactiled.bus.redact import HARMLESS, redactor, reveal, seal
@@ -208,7 +208,7 @@ class Reader:
             self._socket.close()
             self._socket = None
         with suppress(Exception):  # of a device that is gone
-            self._bus.shutdown()
+            canbus.close(self._bus)
 
 
 def no_interface(name: str) -> str | None:

@@ -1,10 +1,13 @@
 """The private names of python-can, held against the version that is installed."""
 
 import inspect
+from threading import Thread
 
 from can.interfaces.socketcan import SocketcanBus
 
 from tactiled.bus.canbus import Bus, CanMessage, filters_in_kernel, receive
+from tactiled.bus.reader import open_bus
+from tests.conftest import BUSY_S
 
 
 def test_receive_gives_what_the_filters_pass_and_nothing_after_its_time(request):
@@ -19,3 +22,16 @@ def test_receive_gives_what_the_filters_pass_and_nothing_after_its_time(request)
         assert receive(bus, 0.01) is None
         assert not filters_in_kernel(bus)
         assert "self._is_filtered = " in inspect.getsource(SocketcanBus)
+
+
+def test_a_reader_that_ends_with_a_full_queue_holds_up_no_sender(request):
+    bus = {"interface": "virtual", "channel": request.node.name, "rx_queue_size": 2}
+    reader = open_bus(**bus)
+    with Bus(**bus) as sender:
+        sending = Thread(target=lambda: [sender.send(CanMessage()) for _ in range(8)], daemon=True)
+        sending.start()
+        while not reader._bus.queue.full():
+            sending.join(0.01)
+        reader.close()
+        sending.join(BUSY_S)
+        assert not sending.is_alive()

@@ -21,7 +21,8 @@ CLEARLY_NOISY = 4.0  # times the noise: of 100 000 healthy taxels none seemed to
 MAX_NOISY_FRACTION = 0.01  # of the taxels, or one: if more are noisy at once, a load shakes them
 
 BELOW_SIGMAS = 7.0  # of noise, and of the taxels' scatter, below zero
-QUARTILE_TO_SIGMA = 3.14  # standard deviation over the quartile nearest to 0 of half a normal distribution
+NEAREST = 0.125  # of the taxels, nearest to zero: loads, now or under the tare, may lie on all others
+NEAREST_TO_SIGMA = 6.36  # standard deviation of a normal distribution over that quantile of what it is off
 CLEARLY_BELOW = 2.0  # of the same
 BELOW_SHARE = 0.1  # of the highest reading since the tare: a slowly recovering skin reads up to so much below zero
 
@@ -103,9 +104,7 @@ def below_zero(pressure: NDArray[np.floating], noise: float, highest: float) -> 
     known = pressure[np.isfinite(pressure)]
     at_zero = np.count_nonzero(np.abs(known) < ZERO_SIGMAS * noise)  # a load may have lain on most of the taxels
     level = 0.0 if at_zero >= UNPRESSED_FRACTION * known.size else min(float(np.median(known)), 0.0)
-    if not (off := level - known[known < level]).size:
-        return nothing
-    scatter = QUARTILE_TO_SIGMA * float(np.quantile(off, 0.25))
+    scatter = NEAREST_TO_SIGMA * float(np.quantile(np.abs(known - level), NEAREST))
     clear = CLEARLY_BELOW * max(noise, scatter)
     far = max(BELOW_SIGMAS * max(noise, scatter), BELOW_SHARE * highest)
     return np.less(pressure, level - clear, out=nothing) if float(known.min()) < level - far else nothing

@@ -190,5 +190,17 @@ def test_what_a_load_under_a_tare_leaves_is_far_below_zero():
     below = below_zero(most.astype(np.float32), 0.4, 0.0)
     assert below[4:12, 7:14].all()
     assert not below[:, :5].any()
+    most[:, 5:] = np.where(np.abs(most[:, 5:]) > 1, -50 * np.random.default_rng(9).random((16, 11)), most[:, 5:])
+    below = below_zero(
+        most.astype(np.float32), 0.4, 0.0
+    )  # under a rough thing that left a third of the taxels free
+    np.testing.assert_array_equal(below, most < most[below].max() + 1e-6)
+    assert most[below].max() > -4
+    tip = np.random.default_rng(9).normal(0, 0.4, (16, 16))
+    tip[4:10, 4:10] -= 15
+    tip[:, 2:14] += 30 * np.random.default_rng(9).random(
+        (16, 12)
+    )  # what is pressed after a tare under a fingertip
+    assert below_zero(tip.astype(np.float32), 0.4, 30.0)[tip < -5].all()
     for reading in (np.nan, -50.0):  # of all taxels
         assert not below_zero(np.full((16, 16), reading, np.float32), 0.4, 0.0).any()
