@@ -16,7 +16,7 @@ from can.util import channel2int, dlc2len
 
 __all__ = [
     "VALID_INTERFACES", "Bus", "BusABC", "CanMessage", "MessageReader", "MessageWriter", "SlcanBus",
-    "SocketcanBus", "blf", "channel2int", "dlc2len", "close", "filters_in_kernel", "formats", "receive",
+    "SocketcanBus", "blf", "channel2int", "close", "dlc2len", "filters_in_kernel", "formats", "receive",
     "unended_line",
 ]  # fmt: skip
 
@@ -33,7 +33,7 @@ def receive(bus: BusABC, timeout: float) -> CanMessage | None:
 
 
 def close(bus: BusABC) -> None:
-    """Close a bus. A sender that waits for room in the queue of a virtual one goes on: python-can leaves it there."""
+    """Close a bus. A sender that waits for room in a virtual one's queue goes on: python-can leaves it there."""
     bus.shutdown()
     if isinstance(bus, VirtualBus):
         with suppress(Empty):

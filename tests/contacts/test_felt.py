@@ -23,7 +23,7 @@ def test_what_neighbours_feel_is_known_and_what_none_feels_is_not(thickness):
     half = shares(lost(*range(6)), blur)
     assert not is_known(half[:4]).any()
     assert is_known(half[8:]).all()
-    assert is_known(shares(lost(4), blur)[4]).all() == (thickness > 0.25)
+    assert is_known(shares(lost(4), blur)[4]).all() == (thickness > 1)
     assert not shares(lost(*range(SIDE), flag=DEAD), blur).any()
 
 

@@ -10,10 +10,11 @@ PERIOD_S = 0.1  # from one look at the load to the next, at least
 CHANGE = 0.2  # of the load's square since the last frame taken: with more the load has moved
 CLEAR_SIGMAS = 10.0  # noise standard deviations of a load
 WINDOW_FRAMES, NEW_FRAMES = 256, 64  # of a verdict, and how many of these must be new since the last one
-# With both, 104 healthy runs of 5 min of all scenes, t/pitch 0.5 to 3, 16 x 16 and 8 x 12, had no false alarm.
-# With 0.6, and unpressed neighbours compared, too, 30 of 312 had one.
+# With all three, one of 220 healthy runs of 4 min of all scenes, t/pitch 0.5 to 3, 4 x 4 to 12 x 6, had a false
+# alarm; with seams of 0.1, 7 of 176.
 MIN_PRESSED = 0.5  # of the taxels: less, and a scene's own symmetry may look like a wrong map
 SWAPPED = 0.55  # of two taxels' own roughness: they are swapped
+ROUGH_SEAMS = 0.7  # of blocks that may be wrong: under a load that comes back to few places less says nothing
 
 
 class MapMonitor:
@@ -49,7 +50,9 @@ class MapMonitor:
         if len(self._frames) < WINDOW_FRAMES:
             return
         frames = np.stack(self._frames)
-        verdict = check_map(frames, self._array, self._sigma, min_pressed=MIN_PRESSED, swapped=SWAPPED)
+        verdict = check_map(
+            frames, self._array, self._sigma, min_pressed=MIN_PRESSED, swapped=SWAPPED, rough_seams=ROUGH_SEAMS
+        )
         if verdict.order is None:  # more places are needed: keep every other frame
             self._frames = self._frames[::2]
             return

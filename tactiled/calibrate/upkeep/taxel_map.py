@@ -49,6 +49,7 @@ def check_map(
     direction: Direction | None = None,
     min_pressed: float = MIN_PRESSED,
     swapped: float = SWAPPED,
+    rough_seams: float = MIN_ROUGH,
 ) -> MapVerdict:
     """Judge the map of an array by pressures (T, N) while a finger rolls over it; `direction`: of one roll."""
     frames = np.nan_to_num(pressure).astype(np.float32)
@@ -66,7 +67,7 @@ def check_map(
     name = smoothest if scores[smoothest] < SMOOTHER * scores["as configured"] else "as configured"
     order = maps[name].copy()
     texts = [name] if name != "as configured" else []
-    texts += _swapped_blocks(roll, array, order)
+    texts += _swapped_blocks(roll, array, order, rough_seams)
     swaps = _swaps(roll, order, swapped)
     if direction and (turned := _turned(frames[:, order], array, direction)):
         texts.append(turned)
@@ -128,7 +129,7 @@ def _blocks(array: Array) -> Iterator[tuple[str, Ints]]:
         yield "column", order.reshape(-1, columns).T
 
 
-def _swapped_blocks(roll: _Roll, array: Array, order: Ints) -> list[str]:
+def _swapped_blocks(roll: _Roll, array: Array, order: Ints, rough_seams: float) -> list[str]:
     """Swap in `order` blocks, or reverse them, as long as it makes their seams much smoother; says which."""
     texts: list[str] = []
     while len(texts) < MAX_BLOCK_SWAPS:
@@ -141,7 +142,7 @@ def _swapped_blocks(roll: _Roll, array: Array, order: Ints) -> list[str]:
                 tried[blocks[a]], tried[blocks[b]] = order[blocks[b]], order[blocks[a]]
                 if a == b:
                     tried[blocks[a]] = order[blocks[a][::-1]]
-                if (smoother := _smoother(roll, order, tried)) > gain:
+                if (smoother := _smoother(roll, order, tried, rough_seams)) > gain:
                     gain, text, other = smoother, _block_text(name, blocks, a, b), tried
         if not text:
             break
@@ -150,12 +151,16 @@ def _swapped_blocks(roll: _Roll, array: Array, order: Ints) -> list[str]:
     return texts
 
 
-def _smoother(roll: _Roll, order: Ints, other: Ints) -> float:
+def _smoother(roll: _Roll, order: Ints, other: Ints, rough_seams: float) -> float:
     """By how much another order is smoother where it differs; 0 unless it is much smoother."""
     now, then = np.sort(order[roll.pairs], axis=0), np.sort(other[roll.pairs], axis=0)
     changed = (now != then).any(axis=0)
     before, after = roll.roughness(*now[:, changed]), roll.roughness(*then[:, changed])
-    return (before - after) * float(changed.sum()) if before > MIN_ROUGH and after < SEAM * before else 0.0
+    if after >= SEAM * before:
+        return 0.0
+    ends = np.array([[len(order)], [1]])
+    seams = ~np.isin((now * ends).sum(axis=0), (then * ends).sum(axis=0))  # other pairs are within a block
+    return (before - after) * float(changed.sum()) if roll.roughness(*now[:, seams]) > rough_seams else 0.0
 
 
 def _block_text(name: str, blocks: Ints, a: int, b: int) -> str:

@@ -3,6 +3,7 @@ import pytest
 
 from tactiled.calibrate.upkeep.map_monitor import WINDOW_FRAMES, MapMonitor
 from tactiled.simulate.array import Surface
+from tactiled.simulate.scenes import SCENES
 from tests.bench.health import KPA_PER_COUNT, NO_LOAD, Run
 from tests.plans import plan
 
@@ -79,3 +80,15 @@ def test_frames_in_counts_reach_it_without_taxels_that_are_not_read():
         run.push(NO_LOAD + (load if n > 20 else 0 * load))
     (frame,) = run.monitor.map._frames
     np.testing.assert_allclose(frame, np.maximum(load, -NO_LOAD).round(), atol=0.5)
+
+
+def test_a_tip_that_rocks_over_a_small_skin_does_not_make_its_map_doubtful():
+    skin, random = plan((4, 6), 1.0), np.random.default_rng(1)
+    surface, monitor = Surface(skin.kernel, skin.array), MapMonitor(skin.array)
+    for n in range(1000):
+        tip = SCENES["fingertip"](surface.x, surface.y, 0.13 * n, surface.size, surface.grain)
+        load = surface.sense(tip).ravel() + random.normal(0, NOISE, 24)
+        monitor.observe(0.13 * n, load.astype(np.float32), np.full(24, NOISE, np.float32))
+        monitor.judge()
+        assert monitor.wrong == ()
+    assert monitor.judged
