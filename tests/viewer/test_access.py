@@ -142,7 +142,7 @@ def test_a_person_types_the_token_and_a_page_of_an_allowed_site_streams(rig, bro
     (code,) = re.findall(r"```javascript\n(.*?)```", GUIDE.read_text(), re.DOTALL)
     at = Server(port=0, allowed_origins=(elsewhere[0],), **TOKENS)
     with running(rig.service, at) as url, rig.playing(20):
-        page = open_page(url, ready="document.activeElement.id === 'token'")
+        page = open_page(f"{url}/#palm?view=slider", ready="document.activeElement.id === 'token'")
         page.inspect()
         page.keyboard.type("no" * 8)
         page.press("Enter")
@@ -152,6 +152,7 @@ def test_a_person_types_the_token_and_a_page_of_an_allowed_site_streams(rig, bro
         page.locator("#maps").wait_for()
         page.wait(f"{PAINTINGS} > 0")
         assert READ not in page.url
+        assert page.url.endswith("/#palm?view=slider")  # the link that led here
         code = code.replace("127.0.0.1:8000", url.removeprefix("http://")).replace("TOKEN", READ)
         show = f"{{headers: {{Authorization: 'Bearer {READ}'}}}}"
         fetched = f"fetch('{url}/api/v1/health', {show}).then(({{ status }}) => status).catch(() => 0)"

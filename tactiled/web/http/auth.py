@@ -181,7 +181,7 @@ class AccessControl:
         except Problem as error:
             if error.status_code != 401 or not sign_in.is_wanted(scope):
                 raise
-            return sign_in.page(scope["path"], unknown=error.detail == UNKNOWN)
+            return sign_in.page(unknown=error.detail == UNKNOWN)
         if scope["method"] not in SAFE_METHODS:
             self._rates.count(scope)
         token = QueryParams(scope["query_string"]).get("token", "")
@@ -193,7 +193,7 @@ class AccessControl:
         """Take the token of the page that asks for one."""
         token = await sign_in.token(receive)
         known = bool(self._tokens.rights(token))
-        answer = self._set_cookie(scope, token) if known else sign_in.page(scope["path"], unknown=True)
+        answer = self._set_cookie(scope, token) if known else sign_in.page(unknown=True)
         await answer(scope, receive, send)
 
     def _allowed_origin(self, headers: Headers) -> str:

@@ -2,14 +2,13 @@
 
 from base64 import b64encode
 from hashlib import sha256
-from html import escape
 from urllib.parse import parse_qs
 
 from starlette.datastructures import Headers
 from starlette.responses import Response
 from starlette.types import Receive, Scope
 
-PATHS = ("/", "/docs")  # the pages; a form may lead back to no other
+PATHS = ("/", "/docs")  # the pages
 STYLE = (
     ":root{color-scheme:light dark}body{font:16px/1.5 system-ui,sans-serif;margin:15vh auto 0;max-width:22rem;"
     "padding:0 1rem}label{display:block;font-weight:600}input,button{font:inherit;padding:.5rem;"
@@ -20,7 +19,7 @@ PAGE = """<!doctype html>
 <head><meta charset="utf-8"><meta name="viewport" content="width=device-width, initial-scale=1">
 <title>tactiled: token</title><style>{style}</style></head>
 <body><main><h1>tactiled</h1><p id="why">{why}</p>
-<form method="post" action="{path}"><input name="username" autocomplete="username" value="tactiled" hidden>
+<form method="post"><input name="username" autocomplete="username" value="tactiled" hidden>
 <label for="token">Token</label>
 <input id="token" name="token" type="password" autocomplete="current-password" required autofocus
  aria-describedby="why">
@@ -55,9 +54,9 @@ def is_sent(scope: Scope) -> bool:
     return scope["method"] == "POST" and scope["path"] in PATHS and kind == "application/x-www-form-urlencoded"
 
 
-def page(path: str, unknown: bool = False) -> Response:
-    """The form, which leads back to a page; `unknown`: what was given is no token."""
-    text = PAGE.format(style=STYLE, why=UNKNOWN if unknown else WANTED, path=escape(path))
+def page(unknown: bool = False) -> Response:
+    """The form, which leads back to the address it stands at; `unknown`: what was given is no token."""
+    text = PAGE.format(style=STYLE, why=UNKNOWN if unknown else WANTED)
     return Response(text, 401, HEADERS, "text/html")
 
 

@@ -246,7 +246,7 @@ def test_a_browser_without_a_token_gets_a_form_and_a_program_an_error(guarded, c
         page = ask("GET", guarded + path, headers=HTML)
         assert (page.status_code, page.headers["content-type"]) == (401, "text/html; charset=utf-8")
         assert 'type="password" autocomplete="current-password"' in page.text
-        assert f'method="post" action="{path}"' in page.text
+        assert '<form method="post">' in page.text  # goes where the page is
         assert "form-action 'self'" in page.headers["content-security-policy"]
         assert page.headers["referrer-policy"] == "same-origin"
         own = FORM | {"Origin": guarded}

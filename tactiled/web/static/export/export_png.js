@@ -3,6 +3,7 @@
 import { ABOVE, BELOW } from "../maps/colormap.js";
 import { context2d, themeColors } from "../shell/dom.js";
 import { fixed } from "../shell/format.js";
+import { hatching } from "../maps/heatmap.js";
 import { AXIS_BOTTOM_PX, AXIS_LEFT_PX, drawAxes } from "../maps/map_axes.js";
 import { endsAndTicks, tickText } from "../charts/ticks.js";
 import { UNITS, forceText, lengthText, pressureText } from "../shell/units.js";
@@ -167,7 +168,7 @@ class Sheet {
    */
   _layers(frame, x, w, h, grid) {
     const draw = this._pen;
-    draw.fillStyle = grid ? "#8d949c" : "#333c46";
+    draw.fillStyle = grid ? hatching(draw) : "#333c46"; // where no data are
     draw.fillRect(x, TOP_PX, w, h);
     draw.imageSmoothingEnabled = !frame.classList.contains("raster");
     for (const each of frame.querySelectorAll(":scope > canvas")) {

@@ -25,6 +25,6 @@ export function provenance(sensor, frame, status, state) {
     ["method", frame.method || "unknown"],
     ["unit", UNITS[frame.unit]],
     ["calibration", status?.calibration ?? "not reported"],
-    [offset && warnings ? `warnings from ${offset}` : "warnings", warnings ?? "not reported"],
+    [offset ? `warnings from ${offset}` : "warnings", warnings ?? "not reported"],
   ].map(([name, value]) => [name, value || "none"]);
 }
