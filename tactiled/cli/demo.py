@@ -77,6 +77,7 @@ def demo(
         need_address(server)
         service = Service(config, report=logs.progress)
         source = _source(record, service, scene, rate_hz, Path(folder))
+        logs.announce(f"recordings go to {folder}, which is removed at the end")
         with stoppable(), running(service, config, source):
             serve(create(service, server, configured(server)), server)
 
@@ -140,7 +141,6 @@ def _server(host: str, port: int, foxglove: int | None, recordings: str) -> Serv
     token = None if host in LOOPBACK else SecretStr(token_urlsafe(12))
     if token:
         print(f"tactiled: other machines reach port {port} of this one with the token {token.get_secret_value()}")
-    logs.announce(f"recordings go to {recordings}, which is removed at the end")
     address = {"host": host, "port": port, "foxglove": foxglove, "control_token": token}
     kept = {"recordings": recordings, "recordings_leave_mb": LEAVE_MB}
     return validated(Server, address | kept, f"--foxglove {foxglove}")

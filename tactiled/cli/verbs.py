@@ -1,11 +1,15 @@
 """The verbs, each with its line of `--help`: a verb's file is imported when that verb runs, and not before."""
 
 import gc
+from collections.abc import Sequence
 from importlib import import_module
 from typing import Any, ClassVar
 
 import typer
 from typer.core import TyperCommand, TyperGroup
+from typer.exceptions import TyperException
+
+from tactiled.errors import ConfigError
 
 VERBS = """\
 run      Run the service: read the buses, restore every frame, serve it over HTTP and WebSocket.
@@ -51,13 +55,28 @@ class Verbs(TyperGroup):
             commands={verb: TyperCommand(verb, short_help=lines[verb]) for verb in lines} | commands, **settings
         )
         self._lazy = lines.keys()
+        self._arguments: Sequence[str] = ()
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
         """Write plain text: rich's boxes take longer to import than all else that `--help` needs."""
         super(TyperGroup, self).format_help(ctx, formatter)
 
+    def invoke(self, ctx: Any) -> Any:
+        """Run what the arguments say; ConfigError, a line with the value, where an option or argument is wrong."""
+        try:
+            return super().invoke(ctx)
+        except TyperException as error:
+            message = error.format_message() if hasattr(error, "format_message") else ""
+            if not message or "\n" in message:  # the help, where nothing is given
+                raise
+            text = message.removeprefix("Invalid value for ").replace("Input should be", "must be")
+            for name in getattr(getattr(error, "param", None), "opts", ()):
+                text = text.replace(f"'{name}'", " ".join((name, *_given(name, self._arguments))))
+            raise ConfigError(text.removesuffix(".")) from error
+
     def resolve_command(self, ctx: Any, args: list[str]) -> tuple[str | None, Any, list[str]]:
         """Give the command that `args` begin with, the function of its name in its file."""
+        self._arguments = args
         verb, command, rest = super().resolve_command(ctx, args)
         if verb in self._lazy:
             one = typer.Typer(add_completion=False)
@@ -68,6 +87,12 @@ class Verbs(TyperGroup):
                 gc.freeze()  # what is imported stays: no later collection walks through it
                 gc.enable()
         return verb, command, rest
+
+
+def _given(option: str, arguments: Sequence[str]) -> Sequence[str]:
+    """What `arguments` give an option, of --option=value, too."""
+    words = [part for each in arguments for part in each.split("=", 1)]
+    return words[words.index(option) + 1 :][:1] if option in words else ()
 
 
 class BenchVerbs(Verbs):

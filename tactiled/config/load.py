@@ -145,6 +145,7 @@ def _check_depth(value: Any, depth: int) -> None:
 def _line(fault: ErrorDetails) -> str:
     """One line: the place, the value, what is wrong with it."""
     place, message, value = _place(fault["loc"]), fault["msg"].removeprefix("Value error, "), fault["input"]
+    message = message.replace("a valid tuple", "a list")
     if fault["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
         return f"{place}: unknown key{_suggestion(*fault['loc'])}"
     if fault["loc"][-1:] == ("[key]",):

@@ -31,6 +31,21 @@ def test_a_refusal_is_one_line_and_exit_code_2(config):
     assert done.stderr == f"tactiled: {path}: server.prot: unknown key: did you mean port?\n"
 
 
+def test_a_wrong_option_is_one_line_with_its_value_and_no_verb_prints_the_help():
+    for words, message in (
+        ("demo --rate-hz 0", "--rate-hz 0: must be greater than or equal to 0.1"),
+        ("export --workers=none a.log", "--workers none: must be a valid integer"),
+        ("demo --rate", "No such option: --rate (Possible options: --port, --rate-hz)"),
+        ("record", "Missing argument out"),
+        ("bench load --arrays nix", "--arrays nix: must be a valid integer"),
+        ("recrod a.log", "No such command 'recrod'. Did you mean 'record'?"),
+    ):
+        assert refusal(*words.split()).startswith(message), words
+    for verbs in ([], ["bench"]):
+        done = subprocess.run([*TACTILED, *verbs], capture_output=True, text=True, timeout=60)
+        assert (done.returncode, "Commands:" in done.stderr) == (2, True)
+
+
 @pytest.mark.parametrize("verb", ["check", "run"])
 def test_check_and_run_refuse_the_same(tmp_path, config, verb):
     bad = tmp_path / "bad"
