@@ -37,7 +37,7 @@ def test_a_wrong_option_is_one_line_with_its_value_and_no_verb_prints_the_help()
         ("export --workers=none a.log", "--workers none: must be a valid integer"),
         ("demo --rate", "No such option: --rate (Possible options: --port, --rate-hz)"),
         ("record", "Missing argument out"),
-        ("bench load --arrays nix", "--arrays nix: must be a valid integer"),
+        ("bench load --sensors nix", "--sensors nix: must be a valid integer"),
         ("recrod a.log", "No such command 'recrod'. Did you mean 'record'?"),
     ):
         assert refusal(*words.split()).startswith(message), words
