@@ -61,11 +61,12 @@ def replaying(settings: Config, file: Path, speed: float) -> Service:
             each.health.clock = REPLAYED
         codecs = {name: each.codec for name, each in sensors.items()}
         plans = [each.plan for each in sensors.values()]
+        logs.progress(f"measuring the noise in {file.name}")
         for name, found in measure(Recording(file, Router(codecs).ids), codecs, plans).items():
             sensors[name].pipeline.settle(*found)
         return Replay(file, codecs, lambda name, frame: sensors[name].restore(frame), speed, ended, stepped)
 
-    service = Service(settings, listen, replayed=True)
+    service = Service(settings, listen, replayed=True, report=logs.progress)
     return service
 
 

@@ -11,7 +11,8 @@ queue, unless they would be too many: the program may become slow at any time. A
 answered before the queue is found full. So its answer gets a second ping, to whose answer the next frame waits.
 The library answers that one when the program takes the last image that it had, and the program is busy with that
 for a while yet. So the next frame comes HOLD of the time later that the second ping's answer took.
-A client far away, to which each way takes long, gets the images whole as long as it is quick.
+A client far away, to which each way takes long, gets the images whole as long as it is quick, and one more than
+come in that time: it may only seem far away, on a busy machine.
 """
 
 import asyncio
@@ -97,13 +98,17 @@ class PacedWebSocket(WebSocket):
         messages = [in_parts(each, parts) for each in frames]
         newest, fills = requested is False, parts * len(frames) > QUEUE
         strict = newest and (fills or not self._quick)
-        if strict or parts > 1 or self._unpinged >= PING_EVERY:
+        if newest or self._unpinged >= PING_EVERY:
             self._unpinged = 0.0
             messages.append(self._ping(again=newest and fills))  # in the same write: it must arrive with them
-            self._most = 1 if strict else MAX_UNANSWERED
+            self._most = 1 if strict else self._underway() if newest else MAX_UNANSWERED
             if len(waiting) >= self._most:
                 self._keeps_up.clear()
         self.transport.writelines(messages)
+
+    def _underway(self) -> int:
+        """How many images may be on their way to a client far away."""
+        return min(ceil(min(self._answers, default=0.0) / self._period_s) + 1, PING_EVERY * MAX_UNANSWERED)
 
     def _ping(self, again: bool, second: bool = False) -> bytes:
         self._pings += 1
