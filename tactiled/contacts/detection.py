@@ -52,7 +52,9 @@ class Finder:
         self._cells, self._felt = cells, cells.felt
         self._border = cells.rim & ~_ends(array, cells)
         self._near = 2 * round(NEAR_PITCHES * array.pitch / cells.side) + 1  # cells
-        self.parts: Labels = np.zeros(cells.shape, np.int64)  # contact of each cell in the last image, 0: none
+        self.parts: Labels = np.zeros(
+            cells.shape, np.int64
+        )  # contact of each cell in the last whole image, 0: none
 
     def __call__(
         self,
@@ -78,7 +80,7 @@ class Finder:
         begin, go_on = BEGIN_SIGMAS * noise, CONTINUE_SIGMAS * noise
         peak = float(pressure.max(initial=0.0))
         if peak <= (go_on if faint else begin):
-            self.parts = np.zeros_like(self.parts)
+            self._keep(np.zeros_like(self.parts), shares)
             return []
         from scipy.ndimage import maximum_filter  # the first contact imports it, and scikit-image
         from skimage.segmentation import expand_labels
@@ -99,7 +101,7 @@ class Finder:
         threshold = np.where(tops > begin, begin, go_on if faint else np.inf)
         threshold[~clear] = np.inf
         parts[picture <= np.maximum(SKIRT_SHARE * np.maximum(highest, tops[parts]), threshold[parts])] = 0
-        self.parts = parts
+        self._keep(parts, shares)
         skirts = np.where(self._felt, expand_labels(parts, 1), 0)
         scale = FORCE_SCALES[unit]
         cut = np.unique(skirts[self._felt & np.isnan(image)])  # by an unknown cell
@@ -110,6 +112,11 @@ class Finder:
         most = 0.5 * float(np.maximum(pressure, 0).sum())
         contacts = [self._measure(pressure.ravel(), spread.ravel(), most, scale, *each) for each in cells]
         return sorted(contacts, key=lambda contact: -contact.force)
+
+    def _keep(self, parts: Labels, shares: Floats32 | None) -> None:
+        """Remember the parts of an image, unless lost messages left holes in it."""
+        if shares is None:
+            self.parts = parts
 
     def _measure(
         self, pressure: Floats, deviation: Reals, most: float, force_scale: float, pressed: Labels, skirt: Labels

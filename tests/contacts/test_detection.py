@@ -302,3 +302,7 @@ def test_a_ring_whose_dips_are_near_the_bound_keeps_its_ids_until_a_dip_is_clear
     dips = 100 * ring * (1 + 0.32 * wave)
     assert len(find(dips, NOISE, before=find.parts)) == 4
     assert len(find(100 * ring, NOISE, before=find.parts)) == 1
+    holes = np.where(np.arange(SIDE) < SIDE // 2, np.nan, 100 * ring).astype(np.float32)
+    assert find(holes, NOISE, shares=np.isfinite(holes).astype(np.float32), before=find.parts) == []
+    near = 100 * ring * (1 + 0.2 * wave)
+    assert len(find(near, NOISE, before=find.parts)) == 1  # it was one where messages were not lost
