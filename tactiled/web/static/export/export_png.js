@@ -49,7 +49,7 @@ export function picture({ name, plane }, frame, { maps, view, range, shear }, co
   const size = `map ${fixed(plane.width, 1)} × ${lengthText(plane.height)}, resolution ${lengthText(frame.resolutionMm, 2)}`;
   const signed = view.name === "difference" ? view.signed : null;
   const shown = shownMaps(frame, maps, view.name);
-  const below = shown.map(({ of }) => (of ? summaryLines(of, frame.unit) : [maps.extremes(plane, frame.unit)]));
+  const below = shown.map(({ of, right }) => (of ? summaryLines(of, frame.unit, right) : [maps.extremes(plane, frame.unit)]));
   const column = Math.max(w, widest(["", ...below.flat()], TEXT_PX));
   const bodyHeight = Math.max(h, MIN_LEGEND_PX);
   const step = AXIS_LEFT_PX + column + MARGIN_PX; // from one map to the next
@@ -79,10 +79,10 @@ function shownMaps(frame, maps, view) {
   return view === "raw" ? [raw] : view === "restored" ? [restored] : [raw, restored];
 }
 
-/** @param {Measures} of an image @param {number} unit of its pressure @returns {string[]} what stands below its map, line by line */
-function summaryLines(of, unit) {
+/** @param {Measures} of an image @param {number} unit of its pressure @param {string} [name] of the image, where its map shows another, too @returns {string[]} what stands below its map, line by line */
+function summaryLines(of, unit, name) {
   const centre = `centre ${fixed(of.x, 1)}, ${lengthText(of.y)}`;
-  return [`force ${forceText(of.force, unit)}   peak ${pressureText(of.peak, unit)}`, centre];
+  return [`${name ? `${name}: ` : ""}force ${forceText(of.force, unit)}   peak ${pressureText(of.peak, unit)}`, centre];
 }
 
 /** @param {string[]} texts @param {number} size px, of their letters @returns {number} px, of the widest */
