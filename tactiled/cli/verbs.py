@@ -7,10 +7,10 @@ from typing import Any, ClassVar
 
 import typer
 from typer.core import TyperCommand, TyperGroup
-from typer.exceptions import TyperException
 
 from tactiled.errors import ConfigError
 
+USAGE_ERROR: Any = typer.BadParameter.__bases__[0]  # click's, or that of typer's own copy of click
 VERBS = """\
 run      Run the service: read the buses, restore every frame, serve it over HTTP and WebSocket.
 demo     Simulate a covered array, or play a real recording, and serve it live; needs no hardware.
@@ -65,9 +65,8 @@ class Verbs(TyperGroup):
         """Run what the arguments say; ConfigError, a line with the value, where an option or argument is wrong."""
         try:
             return super().invoke(ctx)
-        except TyperException as error:
-            message = error.format_message() if hasattr(error, "format_message") else ""
-            if not message or "\n" in message:  # the help, where nothing is given
+        except USAGE_ERROR as error:
+            if "\n" in (message := error.format_message()):  # the help, where nothing is given
                 raise
             text = message.removeprefix("Invalid value for ").replace("Input should be", "must be")
             for name in getattr(getattr(error, "param", None), "opts", ()):
