@@ -13,7 +13,7 @@ from tests.attack.wire import HOST, Ending, exchange
 
 PEAK_MB = 256.0  # of memory, while an attack runs
 MORE_DESCRIPTORS = 4  # that may be open after it: of what the service itself opens late
-ATTACK_S = 120.0  # that an attack may take, besides the fuzzer's own time
+ATTACK_S = 300.0  # that an attack may take on a busy machine, besides the fuzzer's own time
 RECOVERY_S = 30.0  # until memory and descriptors are back
 MAX_LOG_BYTES = 16 << 10  # that an attack may have the service write
 
