@@ -29,7 +29,6 @@ DESCRIPTIONS = {
     "sequence": "number of the frame, which does not wrap; lost frames are counted",
     "method": "method that restored the frame",
     "noise": "standard deviation of one raw taxel",
-    "noise_kpa": "the same, of a calibrated sensor",
     "raw": "pressure that each taxel senses under the cover; NaN: no data",
     "restored": "pressure on the cover, of each cell; NaN: not known",
     "positions_mm": "(x, y) of the taxels, in the order of raw",
