@@ -27,7 +27,7 @@ app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     add_completion=False,
-    rich_markup_mode=None,  # with it nothing is printed where no verb is given
+    rich_markup_mode=None,  # where no verb is given, rich prints nothing
 )
 bench = typer.Typer(cls=BenchVerbs, help="Measure speed and accuracy on this machine.", no_args_is_help=True)
 app.add_typer(bench, name="bench")

@@ -21,9 +21,9 @@ CLEARLY_NOISY = 4.0  # times the noise: of 100 000 healthy taxels none seemed to
 MAX_NOISY_FRACTION = 0.01  # of the taxels, or one: if more are noisy at once, a load shakes them
 
 BELOW_SIGMAS = 7.0  # of noise, and of the taxels' scatter, below zero
+CLEARLY_BELOW = 3.5  # of the same
 NEAREST = 0.125  # of the taxels, nearest to zero: loads, now or under the tare, may lie on all others
 NEAREST_TO_SIGMA = 6.36  # standard deviation of a normal distribution over that quantile of what it is off
-CLEARLY_BELOW = 3.5  # of the same
 BELOW_SHARE = 0.1  # of the highest reading since the tare: a slowly recovering skin reads up to so much below zero
 
 SPIKE_SIGMAS = 4.0  # robust standard deviations from a taxel's median: a reading beyond is a spike

@@ -51,7 +51,10 @@ def check_map(
     swapped: float = SWAPPED,
     rough_seams: float = MIN_ROUGH,
 ) -> MapVerdict:
-    """Judge the map of an array by pressures (T, N) while a finger rolls over it; `direction`: of one roll."""
+    """Judge the map of an array by pressures (T, N) while a finger rolls over it; `direction`: of one roll.
+
+    Blocks are wrong only where their seams are rougher than `rough_seams`.
+    """
     frames = np.nan_to_num(pressure).astype(np.float32)
     peak = frames.max(axis=0)
     pressed = peak > np.maximum(PRESSED_SIGMAS * noise, PRESSED_PART * float(peak.max()))
@@ -152,7 +155,7 @@ def _swapped_blocks(roll: _Roll, array: Array, order: Ints, rough_seams: float) 
 
 
 def _smoother(roll: _Roll, order: Ints, other: Ints, rough_seams: float) -> float:
-    """By how much another order is smoother where it differs; 0 unless it is much smoother."""
+    """By how much another order is smoother where it differs; 0 unless it is much and the seams are so rough."""
     now, then = np.sort(order[roll.pairs], axis=0), np.sort(other[roll.pairs], axis=0)
     changed = (now != then).any(axis=0)
     before, after = roll.roughness(*now[:, changed]), roll.roughness(*then[:, changed])

@@ -1,9 +1,9 @@
 """A WebSocket that knows how far its client has read.
 
 TCP hides a reader that has stopped behind megabytes of buffers, full of images that are old when they are read. So
-a ping follows every few messages; a client answers when it has read that far. Until then `ready` waits, before a
-stream takes the newest image. A client that answered late, or has not answered yet, gets a ping after every frame,
-and the next frame after its answer.
+a ping follows every few messages, and each frame that nobody requested. A client answers when it has read that
+far. Until then `ready` waits, before a stream takes the newest image. A client that answered late, or has not
+answered yet, gets the next frame after its answer.
 
 Python's `websockets` answers pings before the program has read what came before them. But it reads no further
 ahead than QUEUE WebSocket frames. So the images of a frame that nobody requested go in as many frames as fill that

@@ -134,7 +134,7 @@ export class Session {
     this._request();
   }
 
-  /** @returns {number} how far back the newest contacts are of: 0 where there are none, or none of late */
+  /** @returns {number} how far back the frame of the newest contacts is; 0 if none came of late */
   _withContacts() {
     const { contacts: { newest }, history } = this;
     if (!newest?.contacts.length || newest.timestamp < this.newest - PAUSED_WITHIN_S) return 0;
