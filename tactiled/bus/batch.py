@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from struct import Struct
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,10 @@ Key = tuple[int, bool]  # CAN id, whether it has 29 bits
 EXTENDED = 0x80000000  # in an id: it has 29 bits, as SocketCAN marks it
 MAX_BYTES = 64  # of a message
 COLUMNS = np.arange(MAX_BYTES, dtype=np.uint8)
+PACKED = Struct(f"=dIB?{MAX_BYTES}s2x")  # one message in bytes, and these as arrays
+ROW = np.dtype(
+    [("time", "f8"), ("id", "u4"), ("length", "u1"), ("fd", "?"), ("data", "u1", MAX_BYTES)], align=True
+)
 
 
 @dataclass(slots=True, eq=False)
@@ -28,19 +33,12 @@ class Batch:
     @classmethod
     def of(cls, messages: Iterable[Message]) -> "Batch":
         """A batch of single messages."""
-        times, ids, data, extended, fd = [*zip(*messages, strict=True)] or ((),) * 5
-        lengths = [*map(len, data)]
-        if max(lengths, default=0) > MAX_BYTES:
-            data, lengths = tuple(each[:MAX_BYTES] for each in data), [min(each, 255) for each in lengths]
-        padded = b"".join([each.ljust(MAX_BYTES, b"\0") for each in data])
-        numbers = np.array(ids, np.uint32)
-        return cls(
-            np.array(times, np.float64),
-            numbers | np.uint32(EXTENDED) * np.array(extended, np.bool_) if any(extended) else numbers,
-            np.array(lengths, np.uint8),
-            np.frombuffer(padded, np.uint8).reshape(-1, MAX_BYTES),
-            np.array(fd, np.bool_),
-        )
+        rows = [
+            PACKED.pack(time, id_ | EXTENDED if extended else id_, min(len(data), 255), fd, data)
+            for time, id_, data, extended, fd in messages
+        ]
+        table = np.frombuffer(b"".join(rows), ROW)
+        return cls(table["time"], table["id"], table["length"], table["data"], table["fd"])
 
     def __len__(self) -> int:
         """Number of messages."""

@@ -8,6 +8,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable
 from contextlib import suppress
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -119,7 +120,8 @@ class Reader:
         elif len(batch):
             self.off = None
         if flags & ~(EXTENDED | STANDARD_ID):
-            batch.ids[...] &= np.where(batch.ids & EXTENDED, EXTENDED | EXTENDED_ID, STANDARD_ID).astype(np.uint32)
+            of_id = np.where(batch.ids & EXTENDED, EXTENDED | EXTENDED_ID, STANDARD_ID).astype(np.uint32)
+            batch = replace(batch, ids=batch.ids & of_id)
         return batch
 
     def _gathered(self, timeout: float, needed: int) -> Batch:

@@ -8,16 +8,16 @@ def transform(left: _Array, x: _Array, right: _Array, out: _Array) -> None: ...
 def likeliest(
     left: _Array, frame: _Array, right: _Array, row_blocks: _Whole, column_blocks: _Whole, costs: _Array
 ) -> int: ...
-def outstanding(
-    squares: _Array,
+def analyse(left: _Array, x: _Array, right: _Array, total: _Array, out: _Array) -> tuple[float, float]: ...
+def filtered(
+    c: _Array,
     variance: float,
-    limit: _Array,
-    quiet: _Array,
-    down: _Array,
-    across: _Array,
-    inverse: _Array,
-    firm: _Array,
+    of_spectrum: _Array,
+    of_modes: _Array,
+    shared: _Array,
+    total: _Array,
+    left: _Array,
+    right: _Array,
     weight: _Array,
     out: _Array,
-) -> bool: ...
-def signed_sums(x: _Array) -> tuple[float, float, float, float]: ...
+) -> tuple[float, float, float, float, float, float]: ...

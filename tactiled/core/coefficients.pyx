@@ -3,6 +3,7 @@
 
 from libc.math cimport INFINITY, NAN
 from libc.stdlib cimport free, malloc
+from libc.string cimport memcpy
 
 cdef extern from "products.h" nogil:
     void product(long m, long n, long l, const float *a, long down, long across, const float *b, float *out)
@@ -83,62 +84,94 @@ def likeliest(
     return best
 
 
-def outstanding(
-    const float[:, ::1] squares,
-    float variance,
-    const float[:, ::1] limit,
-    const float[:, ::1] quiet,
-    const float[::1] down,
-    const float[::1] across,
-    const float[:, ::1] inverse,
-    const float[:, ::1] firm,
-    const float[:, ::1] weight,
+def analyse(
+    const float[:, ::1] left, const float[:, ::1] x, const float[:, ::1] right, const float[::1] total,
     float[:, ::1] out,
 ):
-    """Whether modes (K, L) stand out of a spectrum; fills `out` with the weight W of each mode, else `weight`.
-
-    `squares`: of a frame's coefficients; all powers are over the noise's `variance`. Their mean in a window of 5 x 5
-    modes is p; a mode stands out where p > `limit` times q, the most of 1, the squares' mean by the weights `quiet`,
-    and what rows and columns share, 1 + a `down` (K,) + b `across` (L,). a and b: by how much the squares' median in
-    the upper half of the first row, or column, is above noise's. Then W = s `inverse` / (s `firm` + 1) with
-    s = max(p - 1, 0).
-    ValueError where shapes do not fit.
-    """
-    cdef long K = squares.shape[0], L = squares.shape[1], size = K * L, i, j
-    cdef bint found = False, failed = False
-    cdef float level, a, b, q, p, own
-    if not (
-        K and L and limit.shape[0] == quiet.shape[0] == inverse.shape[0] == firm.shape[0] == weight.shape[0] == K
-        and out.shape[0] == down.shape[0] == K and out.shape[1] == across.shape[0] == L
-        and limit.shape[1] == quiet.shape[1] == inverse.shape[1] == firm.shape[1] == weight.shape[1] == L
-    ):
-        raise ValueError("outstanding: shapes do not fit")
-    cdef float *power = <float *>malloc(size * sizeof(float))
-    if power == NULL:
-        raise MemoryError
-    cdef const float *c = &squares[0, 0]
-    cdef const float *most = &limit[0, 0]
-    cdef const float *calm = &quiet[0, 0]
+    """As `transform`; gives the sum of `total` (m n,) times the coefficients, and that of their squares."""
+    transform(left, x, right, out)
+    cdef long n = out.shape[0] * out.shape[1]
+    cdef float summed, squares
+    if total.shape[0] != n:
+        raise ValueError("analyse: shapes do not fit")
     with nogil:
-        failed = window_means(c, K, L, power) < 0
-        level = max(dot(size, c, calm) / variance, 1)
-        if not failed and any_above(size, power, variance, level, most):
-            a = excess(c + L // 2, L - L // 2, 1, variance)
-            b = excess(c + K // 2 * L, K - K // 2, L, variance)
+        summed, squares = dot(n, &total[0], &out[0, 0]), dot(n, &out[0, 0], &out[0, 0])
+    return summed, squares
+
+
+def filtered(
+    const float[:, ::1] c,
+    float variance,
+    const float[:, :, ::1] of_spectrum,
+    const float[:, :, ::1] of_modes,
+    const float[::1] shared,
+    const float[::1] total,
+    const float[:, ::1] left,
+    const float[:, ::1] right,
+    float[:, ::1] weight,
+    float[:, ::1] out,
+):
+    """Fill `out` (R, C) with left (R, K) (W c) right (L, C) of coefficients c (K, L), and `weight` with W of each.
+
+    W is the second of `of_spectrum` (2, K, L), but for modes that stand out of the spectrum. With powers over the
+    noise's `variance`, p the mean of c^2 in a window of 5 x 5 modes, a mode stands out where p > the first of
+    `of_spectrum` times q: the most of 1, the mean of c^2 by weights, and what rows and columns share, 1 + a d + b e.
+    d (K,) and e (L,) follow one another in `shared`; a and b: by how much the median of c^2 in the upper half of the
+    first row, or column, is above noise's. Then W = s r / (s f + 1) with s = max(p - 1, 0). The weights, r and f are
+    `of_modes` (3, K, L).
+
+    Gives the sum of W^2, that of `total` (K L,) W c, and of `out` the sum and the sum of squares of what is above 0,
+    the sum of squares of what is below, and the highest. ValueError where shapes do not fit.
+    """
+    cdef long K = c.shape[0], L = c.shape[1], R = left.shape[0], C = right.shape[1], size = K * L, i, j, at
+    cdef bint failed
+    cdef float level, a, b, q, p, own, felt
+    cdef looks seen
+    if not (
+        K and L and R and C and of_spectrum.shape[0] == 2 and of_modes.shape[0] == 3
+        and of_spectrum.shape[1] == of_modes.shape[1] == weight.shape[0] == left.shape[1] == K
+        and of_spectrum.shape[2] == of_modes.shape[2] == weight.shape[1] == right.shape[0] == L
+        and shared.shape[0] == K + L and total.shape[0] == size and out.shape[0] == R and out.shape[1] == C
+    ):
+        raise ValueError("filtered: shapes do not fit")
+    cdef float *squares = <float *>malloc((2 * size + R * L) * sizeof(float))
+    if squares == NULL:
+        raise MemoryError
+    cdef float *power = squares + size
+    cdef float *between = power + size
+    cdef const float *value = &c[0, 0]
+    cdef const float *limit = &of_spectrum[0, 0, 0]
+    cdef const float *inverse = &of_modes[1, 0, 0]
+    cdef const float *firm = &of_modes[2, 0, 0]
+    cdef float *W = &weight[0, 0]
+    with nogil:
+        memcpy(W, &of_spectrum[1, 0, 0], size * sizeof(float))
+        for i in range(size):
+            squares[i] = value[i] * value[i]
+        failed = window_means(squares, K, L, power) < 0
+        level = max(dot(size, squares, &of_modes[0, 0, 0]) / variance, 1)
+        if not failed and any_above(size, power, variance, level, limit):
+            a = excess(squares + L // 2, L - L // 2, 1, variance)
+            b = excess(squares + K // 2 * L, K - K // 2, L, variance)
             for i in range(K):
                 for j in range(L):
-                    q = max(level, 1 + a * down[i] + b * across[j])
-                    p = min(power[i * L + j], MOST)
-                    if p > limit[i, j] * q:
+                    at = i * L + j
+                    q = max(level, 1 + a * shared[i] + b * shared[K + j])
+                    p = min(power[at], MOST)
+                    if p > limit[at] * q:
                         own = max(p - 1, 0)
-                        out[i, j] = own * inverse[i, j] / (own * firm[i, j] + 1)
-                        found = True
-                    else:
-                        out[i, j] = weight[i, j]
-        free(power)
+                        W[at] = own * inverse[at] / (own * firm[at] + 1)
+        for i in range(size):
+            squares[i] = W[i] * value[i]
+        felt = dot(size, &total[0], squares)
+        product(R, L, K, &left[0, 0], K, 1, squares, between)
+        product(R, C, L, between, L, 1, &right[0, 0], &out[0, 0])
+        seen = look_at(R * C, &out[0, 0])
+        own = dot(size, W, W)
+        free(squares)
     if failed:
         raise MemoryError
-    return found
+    return own, felt, seen.above, seen.above_squared, seen.below_squared, seen.highest
 
 
 cdef float excess(const float *x, long n, long step, float variance) noexcept nogil:
@@ -152,16 +185,3 @@ cdef float excess(const float *x, long n, long step, float variance) noexcept no
         if below <= n // 2 < below + same:
             return min(max(x[i * step] / (0.455 * variance) - 1, 0), MOST)  # 0.455: of a normal variable's square
     return NAN
-
-
-def signed_sums(const float[:, ::1] x):
-    """Give the sum and the sum of squares of what is above 0, the sum of squares of what is below, and the highest.
-
-    NaN where there is no value.
-    """
-    cdef looks seen
-    if x.shape[0] * x.shape[1] == 0:
-        return 0.0, 0.0, 0.0, NAN
-    with nogil:
-        seen = look_at(x.shape[0] * x.shape[1], &x[0, 0])
-    return seen.above, seen.above_squared, seen.below_squared, seen.highest

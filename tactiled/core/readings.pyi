@@ -23,13 +23,17 @@ def keep_total(
     x: _Array,
     weight: _Array,
     total: float,
-    noise: float,
+    likely: float,
+    most_noise: float,
     agrees: float,
     clear: float,
     least: float,
     most: float,
     passes: int,
 ) -> None: ...
+def compare(
+    read: _Array, felt: _Array, flags: NDArray[np.uint8], noise: float, error: float, far: float
+) -> tuple[int, float, float, int, float, float, int, float, float, float]: ...
 def part_sums(x: _Array, rows: NDArray[np.int64], columns: NDArray[np.int64], out: _Doubles) -> None: ...
 def raise_above(
     precision: _Doubles, right: _Doubles, bounds: _Doubles, sigma: float, sweeps: int, x: _Doubles

@@ -1,7 +1,7 @@
 # cython: language_level=3, boundscheck=False, wraparound=False, initializedcheck=False, cdivision=True
 """Counts of taxels to pressure, and looks at a frame, float32."""
 
-from libc.math cimport INFINITY, M_PI, M_SQRT2, NAN, erfc, exp, sqrt
+from libc.math cimport INFINITY, M_PI, M_SQRT2, NAN, erfc, exp, fabs, sqrt
 
 cdef extern from "looks.h" nogil:
     struct looks:
@@ -71,22 +71,24 @@ def keep_total(
     float[::1] x,
     const float[::1] weight,
     float total,
-    float noise,
+    float likely,
+    float most_noise,
     float agrees,
     float clear,
     float least,
     float most,
     int passes,
 ):
-    """Hold values x (M,), none below 0, to a `total` of sum(weight x) but for its `noise`, in place.
+    """Hold values x (M,), none below 0, to a `total` of sum(weight x) but for its noise, in place.
 
+    That is the `likely` part of the difference, or none of one that is not below `most_noise`.
     An excess is taken from all values above 0 alike, by as many passes of Newton's method as it needs, `passes` at
     most; what it lacks, or has too much then, is scaled by `least` to `most`. Nothing is done for a difference
     within `agrees`, or where the total is within `clear` of 0. ValueError where shapes do not fit.
     """
     cdef long M = x.shape[0], i
     cdef int done
-    cdef float felt, pressed, missed, scale = 1
+    cdef float felt, pressed, missed, noise = 0, scale = 1
     if weight.shape[0] != M:
         raise ValueError("keep_total: shapes do not fit")
     with nogil:
@@ -95,6 +97,8 @@ def keep_total(
             for i in range(M):
                 felt += weight[i] * x[i]
                 pressed += weight[i] if x[i] > 0 else 0
+            if not done and fabs(total - felt) < most_noise:
+                noise = likely * (total - felt)
             missed, scale = total - noise - felt, 1
             if not (-agrees < missed < agrees or -clear < total < clear or (felt + noise) * total <= 0):
                 scale = min(max(total / (felt + noise), least), most)
@@ -106,6 +110,44 @@ def keep_total(
         if scale != 1:
             for i in range(M):
                 x[i] *= scale
+
+
+def compare(
+    const float[::1] read, const float[::1] felt, const unsigned char[::1] flags, float noise, float error, float far
+):
+    """Compare what taxels (N,) read with what they would feel of an image, where their flags are 0.
+
+    The expected difference is e = hypot(noise, `error` times the largest reading, of either sign).
+    Gives how many those are, their lowest and highest and how many have that, the sum of the squares below 0; e, how
+    many differ by over `far` e, and the mean of the squares of all differences over e; then of all taxels the sum of
+    squares of what is felt, and that of its products with what is read, or felt where that is not to be used.
+    ValueError where shapes do not fit.
+    """
+    cdef long N = read.shape[0], i, known = 0, same = 0, outliers = 0
+    cdef float lowest = INFINITY, highest = -INFINITY, below = 0, squares = 0, strength = 0, product = 0, expected, off
+    if not felt.shape[0] == flags.shape[0] == N:
+        raise ValueError("compare: shapes do not fit")
+    with nogil:
+        for i in range(N):
+            strength += felt[i] * felt[i]
+            if flags[i]:
+                product += felt[i] * felt[i]
+                continue
+            known += 1
+            product += felt[i] * read[i]
+            below += read[i] * read[i] if read[i] < 0 else 0
+            lowest = min(lowest, read[i])
+            highest = max(highest, read[i])
+        expected = error * max(highest, -lowest)
+        expected = sqrt(noise * noise + expected * expected)
+        for i in range(N):
+            if flags[i]:
+                continue
+            off = fabs(felt[i] - read[i]) / expected
+            squares += off * off
+            outliers += off > far
+            same += read[i] == highest
+    return known, lowest, highest, same, below, expected, outliers, squares / max(known, 1), strength, product
 
 
 def part_sums(const float[:, ::1] x, const long[::1] rows, const long[::1] columns, double[:, ::1] out):

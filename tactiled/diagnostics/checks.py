@@ -5,8 +5,8 @@ than its noise explains, and the modes that the cover weakens most hold no less 
 """
 
 from collections.abc import Callable
-from math import sqrt
-from typing import Any
+from math import hypot, sqrt
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,6 +40,7 @@ EXCESS_RATIO = 0.02  # of its strength: one of these sigmas, however faint the n
 EDGE_RATIO = 1.5  # of the highest pressure at the rim to the highest inside
 
 Predict = Callable[[], Floats32]
+Scalar = TypeVar("Scalar", bound=np.generic)
 
 
 class FrameChecks:
@@ -51,6 +52,7 @@ class FrameChecks:
         self._grid = len(blur.frame_shape) == 2 and min(blur.surface_shape) > 2
         self._parts = _Parts(np.ones(blur.frame_shape, bool))
         self._cells = _Parts(blur.taxel >= 0)
+        self._fewest = float(self._parts.counts.min())
         self._max_below = _max_below(int(np.prod(blur.frame_shape)))
         self._to_modes = blur.modes.to_taxel_modes()
         self._weak = _weakest(blur.modes.gain)
@@ -88,73 +90,69 @@ class FrameChecks:
 
         `predict` gives what the taxels feel (kPa) of the image, where something of it lies beyond the array.
         """
-        sound = flags == 0
-        count = np.count_nonzero(sound)
-        if not count:
-            return ()
         predicted = predict() if predict else self._blur.forward(image)
-        if count == sound.size:
-            completed, zeroed, pressure, felt = raw, raw, raw.reshape(-1), predicted.reshape(-1)
-        else:
+        frames = _flat(raw), _flat(predicted), _flat(flags)
+        seen = Comparison(*readings.compare(*frames, noise, MODEL_ERROR, MAX_RESIDUAL))
+        if not seen.known:
+            return ()
+        sound = None if seen.known == flags.size else flags == 0
+        completed, zeroed = raw, raw
+        if sound is not None:
             completed, zeroed = np.where(sound, raw, predicted), np.where(sound, raw, np.float32(0))
-            pressure, felt = raw[sound], predicted[sound]
         offset = self._even_offset(image, noise)
         tests: dict[WarningCode, bool] = {
-            "negative": self._negative(pressure, zeroed, sound, noise),
+            "negative": self._negative(seen, zeroed, sound, noise),
             "offset": offset,
-            "noise_low": self._noise_low(completed, noise * sqrt(count / sound.size)),
+            "noise_low": self._noise_low(completed, noise * sqrt(seen.known / flags.size)),
         }
         codes = [code for code, failed in tests.items() if failed]
-        peak = float(pressure.max())
-        if peak < PRESSED * noise:
+        if seen.highest < PRESSED * noise:
             return tuple(codes)
-        expected = float(np.hypot(noise, MODEL_ERROR * np.abs(pressure).max()))
-        if np.count_nonzero(pressure == peak) >= PLATEAU_TAXELS and peak > PRESSED * expected:
+        if seen.at_highest >= PLATEAU_TAXELS and seen.highest > PRESSED * seen.expected:
             codes.append("plateau")
         # An image of points shows whole cells, but their fit, which matched, was of positions between them. A raw
         # image still has the cover's blur in it, and explains no frame.
         if method not in ("points", "raw"):
-            codes += _residual(np.abs(felt - pressure) / expected)
-            if not offset and self._moved_offset(completed, predicted, noise):
+            if seen.outliers > MAX_OUTLIERS or seen.square > MAX_RESIDUAL_RMS**2:
+                codes.append("cover_mismatch")
+            elif seen.outliers:
+                codes.append("outliers")
+            if not offset and self._moved_offset(seen, completed, noise):
                 codes.append("offset")
         if self._grid and self._over_the_edge(image):
             codes.append("edge")
         return tuple(codes)
 
-    def _negative(self, pressure: Floats32, zeroed: Floats32, sound: Mask, noise: float) -> bool:
+    def _negative(self, seen: "Comparison", zeroed: Floats32, sound: Mask | None, noise: float) -> bool:
         """Whether one taxel, a part of the array or all together lie further below zero than noise does."""
-        if float(pressure.min()) < -BELOW_ZERO * float(np.hypot(noise, MODEL_ERROR * np.abs(pressure).max())):
+        if seen.lowest < -BELOW_ZERO * seen.expected or seen.below > self._max_below * noise**2:
             return True
-        count = self._parts.sums(sound)
+        count = self._parts.counts if sound is None else self._parts.sums(sound)
         lowest = float((self._parts.sums(zeroed) / np.sqrt(np.maximum(count, 1))).min())
-        if lowest < noise * _lowest_sigmas(count.size):
-            return True
-        below = np.minimum(pressure, 0)
-        return float(np.dot(below, below)) > self._max_below * noise**2
+        return lowest < noise * _lowest_sigmas(count.size)
 
     def _even_offset(self, image: Floats32, noise: float) -> bool:
         """Whether every part of the image is pressed, and a quarter of the parts alike."""
         counts = self._cells.counts
-        means = np.sort(self._cells.sums(image)[counts > 0] / counts[counts > 0], axis=None)
-        lowest, quarter = float(means[0]), float(means[(means.size - 1) // 4])
-        certain = -_lowest_sigmas(1) * noise / float(np.sqrt(self._parts.counts.min()))
-        peak = float(np.fmax.reduce(image, axis=None))
-        return lowest > max(certain, MIN_OFFSET * peak) and quarter < EVEN_RATIO * lowest
+        means = sorted((self._cells.sums(image)[counts > 0] / counts[counts > 0]).tolist())
+        lowest, quarter = means[0], means[(len(means) - 1) // 4]
+        certain = -_lowest_sigmas(1) * noise / sqrt(self._fewest)
+        peak = readings.look(_flat(image))[1]
+        return bool(lowest > max(certain, MIN_OFFSET * peak) and quarter < EVEN_RATIO * lowest)
 
-    def _moved_offset(self, completed: Floats32, predicted: Floats32, noise: float) -> bool:
+    def _moved_offset(self, seen: "Comparison", completed: Floats32, noise: float) -> bool:
         """Whether the image is stronger than its frame, and no quarter of the frame's parts is free.
 
         Restoration keeps total force: it moves an offset that noise hides in each cell onto the contacts. The
         frame's parts together still show it.
         """
-        strength = float(np.vdot(predicted, predicted))
-        excess = strength - float(np.vdot(predicted, completed))
-        if excess <= EXCESS_SIGMAS * float(np.hypot(noise * np.sqrt(strength), EXCESS_RATIO * strength)):
+        excess, noise_of_it = seen.strength - seen.product, noise * sqrt(seen.strength)
+        if excess <= EXCESS_SIGMAS * hypot(noise_of_it, EXCESS_RATIO * seen.strength):
             return False
-        means = np.sort(self._parts.sums(completed) / self._parts.counts, axis=None)
-        quarter = means[: max(1, means.size // 4)]
-        certain = -_lowest_sigmas(1) * noise / float(np.sqrt(self._parts.counts.mean() * quarter.size))
-        return float(quarter.mean()) > certain
+        means = sorted((self._parts.sums(completed) / self._parts.counts).ravel().tolist())
+        quarter = means[: max(1, len(means) // 4)]
+        certain = -_lowest_sigmas(1) * noise / sqrt(float(self._parts.counts.mean()) * len(quarter))
+        return sum(quarter) / len(quarter) > certain
 
     def _noise_low(self, completed: Floats32, noise: float) -> bool:
         """Whether the weakest modes hold less than half the noise; unknown where noise is only rounding."""
@@ -164,8 +162,27 @@ class FrameChecks:
         return float(np.dot(weakest, weakest)) < (noise / NOISE_RATIO) ** 2 * weakest.size
 
     def _over_the_edge(self, image: Floats32) -> bool:
-        rim = max(float(each.max()) for each in (image[0], image[-1], image[:, 0], image[:, -1]))
-        return rim > EDGE_RATIO * float(image[1:-1, 1:-1].max())
+        inside = float(image[1:-1, 1:-1].max())
+        return readings.look(_flat(image))[1] > EDGE_RATIO * inside
+
+
+class Comparison(NamedTuple):
+    """What `readings.compare` gives."""
+
+    known: int  # taxels whose flags are 0; of these:
+    lowest: float  # kPa
+    highest: float  # kPa
+    at_highest: int
+    below: float  # kPa^2, sum of squares
+    expected: float  # kPa, difference from what is felt of the image
+    outliers: int
+    square: float  # of all differences over the expected one, mean
+    strength: float  # kPa^2, of what is felt of the image, all taxels
+    product: float  # kPa^2, of that and the frame
+
+
+def _flat(values: NDArray[Scalar]) -> NDArray[Scalar]:
+    return np.ascontiguousarray(values).reshape(-1)
 
 
 class _Parts:
@@ -206,11 +223,3 @@ def _weakest(gain: Floats) -> Ints | None:
     """Which modes the cover weakens most; None where they are too few to tell half the noise from all of it."""
     count = max(WEAK_MODES, gain.size // WEAK_MODES_PER)
     return np.argsort(gain, axis=None)[:count] if count <= gain.size // 2 else None
-
-
-def _residual(ratios: NDArray[Any]) -> list[WarningCode]:
-    """What a residual shows, as ratios to the expected one."""
-    outliers = int(np.count_nonzero(ratios > MAX_RESIDUAL))
-    if outliers > MAX_OUTLIERS or float(np.sqrt(np.mean(np.square(ratios)))) > MAX_RESIDUAL_RMS:
-        return ["cover_mismatch"]
-    return ["outliers"] if outliers else []

@@ -115,7 +115,7 @@ class Auto:
         """What the cover took and the noise added that a filter takes back, as a share of the frame's norm."""
         scene = self._scene
         noise = max(1 - filter_.noise_gain**2, 0.0) * scene.noise**2 * scene.size
-        return sqrt((filter_.correction(scene.power) + noise) / max(scene.square, 1e-30))
+        return sqrt((filter_.correction(scene.flat) + noise) / max(scene.square, 1e-30))
 
     def _negative(self) -> float:
         """Norm of the linear image's negative part over its norm: no pressure is below zero, so that is wrong."""

@@ -11,21 +11,20 @@ import numpy as np
 from scipy.special import chdtri
 
 from tactiled.arrays import Floats, Floats32
-from tactiled.core import coefficients
 from tactiled.restore.modes import Modes
 from tactiled.restore.prior import MAX_AMPLIFICATION
 
 # Chosen on scenes of the first family and on those that the network is trained on.
-WINDOW = 5  # modes along each axis whose power is averaged, as in `outstanding`
+WINDOW = 5  # modes along each axis whose power is averaged, as in `filtered`
 FALSE_ALARMS = 1e-3  # of frames of noise alone, in which a mode stands out
 QUIET = 0.25  # of the modes, those of least gain
 
 
 class NarrowBand:
-    """Finds such modes, and gives the filter's `weight` with them."""
+    """What `coefficients.filtered` finds such modes by, and weighs them with."""
 
-    def __init__(self, modes: Modes, noise: float, gain_variance: Floats) -> None:
-        """`noise` in kPa; `gain_variance` of each taxel mode's gain, as the cover's model may be wrong."""
+    def __init__(self, modes: Modes, gain_variance: Floats) -> None:
+        """`gain_variance` of each taxel mode's gain, as the cover's model may be wrong."""
         gain = modes.gain
         rows, columns = (_neighbours(n) for n in gain.shape)
         count = rows.sum(axis=1)[:, None] * columns.sum(axis=1)
@@ -33,17 +32,15 @@ class NarrowBand:
         strong = gain > 1 / MAX_AMPLIFICATION
         clear = chdtri(count, FALSE_ALARMS / gain.size) / count - 1
         self._clear = np.where(strong, clear, np.inf)  # power over the noise's that noise hardly ever has
-        self._inverse = np.divide(1, gain, out=np.zeros_like(gain), where=strong).astype(np.float32)
-        self._firm = (1 + gain_variance * self._inverse**2).astype(np.float32)
-        quiet = np.zeros(gain.size, np.float32)
+        inverse = np.divide(1, gain, out=np.zeros_like(gain), where=strong)
+        quiet = np.zeros(gain.size)
         quiet[np.argsort(gain, axis=None)[: max(1, int(QUIET * gain.size))]] = 1
-        self._variance = noise**2
-        self._quiet = (quiet / quiet.sum()).reshape(gain.shape)
+        quiet = (quiet / quiet.sum()).reshape(gain.shape)
+        self.of_modes = np.array([quiet, inverse, 1 + gain_variance * inverse**2], np.float32)
         # Power of what is the same all along an axis, in each of the axis' modes, over that in the first.
         shares = [basis.sum(axis=0) ** 2 for basis in modes.taxel]
-        down, across = (mean @ (share / share[0]) for mean, share in zip((rows, columns), shares, strict=True))
-        self._down, self._across = down.astype(np.float32), across.astype(np.float32)
-        self.weight = np.empty(gain.shape, np.float32)
+        parts = [mean @ (share / share[0]) for mean, share in zip((rows, columns), shares, strict=True)]
+        self.shared = np.concatenate(parts).astype(np.float32)
 
     def limit(self, expected: Floats) -> Floats32:
         """Give the power of each mode, over that of the noise, above which it stands out of a spectrum.
@@ -51,13 +48,6 @@ class NarrowBand:
         `expected`: the spectrum's power in the frame, over the noise's.
         """
         return np.asarray(1 + np.maximum(self._clear, expected), np.float32)
-
-    def __call__(self, squares: Floats32, limit: Floats32, weight: Floats32) -> bool:
-        """Take in a frame's squared coefficients and a filter; gives whether any mode stands out."""
-        of_modes, shared = (self._inverse, self._firm), (self._down, self._across)
-        return coefficients.outstanding(
-            squares, self._variance, limit, self._quiet, *shared, *of_modes, weight, self.weight
-        )
 
 
 def _neighbours(n: int) -> Floats:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactiled.arrays import Floats, Floats32
-from tactiled.core import readings
+from tactiled.core import coefficients, readings
 from tactiled.restore.blur import THICKNESS_ERROR, Blur
 from tactiled.restore.kriging import Gaps, make
 from tactiled.restore.pressed import Pressed
@@ -83,13 +83,13 @@ class Scene:
         self._force_variance = noise_of_sum**2
         self._force_clear = FORCE_CLEAR_SIGMAS * noise_of_sum
         self._force_agrees = FORCE_AGREES_SIGMAS * noise_of_sum
-        self.squares = self._analyse.empty()  # c squared
-        self.power = self.squares.reshape(-1)
+        bounds = FORCE_NOISE_SIGMAS * noise_of_sum, self._force_agrees, self._force_clear
+        self._force_bounds = *bounds, *FORCE_BOUNDS, FORCE_PASSES
         self.spectrum = self.prior.spectra[0]
         self._pressed = Pressed(array, noise)
         self.box = self._pressed.whole  # on the surface that what presses is in
         self.high = self.low = 0.0  # kPa, the frame's largest and smallest
-        self.force = 0.0  # kPa, the sum over the frame
+        self.force = self.square = 0.0  # kPa, the sum over the frame; kPa^2, that of squares
         self._reach = self.cell_reach.reshape(-1)
         gains = self.modes.gain, self.modes.frequency, self.gain_variance
         self._resolution: Kept[float] = kept("resolution", *gains, np.array(blur.cell_mm))
@@ -113,9 +113,8 @@ class Scene:
         self.spectrum = self.prior.pick(y)
         self.box = self._pressed(y)
         self.frame = self.kriging(y, self.spectrum, self.box)
-        self._analyse(self.frame, self.c)
-        np.multiply(self.c, self.c, out=self.squares)
-        self.force = float(self.ones.dot(self.flat))
+        left, right = self._analyse.left, self._analyse.right
+        self.force, self.square = coefficients.analyse(left, self.frame, right, self.ones, self.c)
 
     def look_at_nothing(self) -> None:
         """Take in that there is no pressure."""
@@ -147,11 +146,6 @@ class Scene:
         self.look_at_nothing()
 
     @property
-    def square(self) -> float:
-        """Sum of the frame's squares (kPa^2)."""
-        return float(self.flat.dot(self.flat))
-
-    @property
     def spotted(self) -> bool:
         """Whether the frame is of a few small spots: no spectrum tells where in a cell they are."""
         return self.spectrum.corner >= SPOTS_CORNER and self.force**2 < SPOTS_TAXELS * self.square
@@ -172,13 +166,9 @@ class Scene:
         All taxels' noise is in the frame's total: where few cells are pressed, the image knows its force better.
         An excess is taken from all pressed cells alike, as far as they go; what lacks force is scaled up.
         """
-        force = self.force
-        own = (IMAGE_FORCE_ERROR * force) ** 2
-        noise = force - float(self._reach.dot(flat))
+        own = (IMAGE_FORCE_ERROR * self.force) ** 2
         likely = self._force_variance / (own + self._force_variance)  # the frame's part of the difference
-        noise *= likely if noise**2 < FORCE_NOISE_SIGMAS**2 * self._force_variance else 0.0
-        bounds = self._force_agrees, self._force_clear, *FORCE_BOUNDS, FORCE_PASSES
-        readings.keep_total(flat, self._reach, force, noise, *bounds)
+        readings.keep_total(flat, self._reach, self.force, likely, *self._force_bounds)
 
     def most(self, image: Floats32) -> Floats:
         """Give the most (kPa) that each cell can have: all of the force that the taxels feel of an image."""

@@ -21,25 +21,20 @@ def wiener_weight(scene: Scene) -> Floats:
     return np.asarray(h * S / (h**2 * S + 1 + scene.gain_variance * S))
 
 
-Sums = tuple[float, float, float, float]
-
-
 class Filter:
-    """One spectrum's filter, with the total force and the noise that it leaves."""
+    """One spectrum's filter, and the noise that it leaves."""
 
-    def __init__(self, scene: Scene, band: NarrowBand | None) -> None:
-        modes = scene.modes
-        weight = wiener_weight(scene)
-        self.weight = np.asarray(weight, np.float32)
-        self.missed = np.asarray(scene.ones - scene.reach * weight.ravel(), np.float32)
-        self._changed = np.asarray((weight * (1 - modes.gain)).ravel() ** 2, np.float32)
-        self.noise_gain = sqrt(float((weight**2).sum()) / prod(scene.blur.surface_shape))
+    def __init__(self, scene: Scene, band: NarrowBand) -> None:
+        modes, weight = scene.modes, wiener_weight(scene)
         expected = modes.gain**2 * scene.spectrum.ratio[modes.head]
-        self.limit = band.limit(expected) if band else None  # of each mode's power, over that of the noise
+        self.of_spectrum = np.array([band.limit(expected), weight], np.float32)
+        self.noise_gain = sqrt(float((weight**2).sum()) / prod(scene.blur.surface_shape))
+        self._changed = np.asarray(weight * (1 - modes.gain), np.float32).ravel()
 
-    def correction(self, power: Floats32) -> float:
-        """How much the cover took from the frame (kPa^2, summed over taxels), from the power of its modes."""
-        return float(self._changed.dot(power))
+    def correction(self, c: Floats32) -> float:
+        """How much the cover took from a frame of coefficients (n,): kPa^2, summed over taxels."""
+        change = self._changed * c
+        return float(change.dot(change))
 
 
 class Wiener:
@@ -50,11 +45,14 @@ class Wiener:
         self._scene = scene
         arrays = scene.ones, scene.reach, modes.gain, modes.frequency, scene.gain_variance
         self._filters: Kept[Filter] = kept("filter", *arrays, np.array(scene.blur.surface_shape))
-        self._band = NarrowBand(modes, scene.noise, scene.gain_variance) if modes.gain.ndim == 2 else None
-        self._synthesise = modes.head_to_surface()
-        self._modes, self._image = np.empty_like(scene.c), self._synthesise.empty()
+        self._band = NarrowBand(modes, scene.gain_variance)
+        synthesise = modes.head_to_surface()
+        self._image = synthesise.empty()
+        self._fixed = self._band.of_modes, self._band.shared, scene.reach, synthesise.left, synthesise.right
+        self.weight = np.empty_like(scene.c)  # of each mode in the image, in units of the noise
         self.noise_gain = 0.0
-        self._sums: Sums | None = None
+        # Of the image: sum and sum of squares of what is above 0, sum of squares of what is below, the highest.
+        self.sums: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0)
 
     def filter(self) -> Filter:
         """Give the filter of the scene's spectrum, made when that spectrum is first met."""
@@ -62,24 +60,14 @@ class Wiener:
 
     def __call__(self) -> Floats32:
         """Give the surface pressure, total force kept; may be negative."""
-        scene, filter_, band = self._scene, self.filter(), self._band
-        if band and filter_.limit is not None and band(scene.squares, filter_.limit, filter_.weight):
-            weight = band.weight.reshape(-1)
-            np.multiply(scene.c, band.weight, out=self._modes)
-            missed = scene.force - float(scene.reach.dot(self._modes.reshape(-1)))
-            self.noise_gain = sqrt(float(weight.dot(weight)) / self._image.size)
-        else:
-            np.multiply(scene.c, filter_.weight, out=self._modes)
-            missed, self.noise_gain = float(filter_.missed.dot(scene.flat)), filter_.noise_gain
-        scale = scene.force_scale(missed)
+        scene, image, of_spectrum = self._scene, self._image, self.filter().of_spectrum
+        squares, force, *sums = coefficients.filtered(
+            scene.c, scene.noise**2, of_spectrum, *self._fixed, self.weight, image
+        )
+        self.noise_gain = sqrt(squares / image.size)
+        scale = scene.force_scale(scene.force - force)
         if scale != 1.0:
-            np.multiply(self._modes, np.float32(scale), out=self._modes)
-        self._sums = None
-        return self._synthesise(self._modes, self._image)
-
-    @property
-    def sums(self) -> Sums:
-        """Of the last image, as by `coefficients.signed_sums`."""
-        if self._sums is None:
-            self._sums = coefficients.signed_sums(self._image.reshape(len(self._image), -1))
-        return self._sums
+            np.multiply(image, np.float32(scale), out=image)
+            sums = [value * factor for value, factor in zip(sums, (scale, scale**2, scale**2, scale), strict=True)]
+        self.sums = (*sums,)
+        return image

@@ -39,8 +39,10 @@ def test_a_look_is_at_what_is_known(seed, size):
 
 
 def held(x, weight, *bounds):
-    total, noise, agrees, clear, least, most, passes = bounds
+    total, likely, most_noise, agrees, clear, least, most, passes = bounds
     x, scale = x.astype(float), 1.0
+    missed = total - float(weight @ x)
+    noise = likely * missed if abs(missed) < most_noise else 0.0
     for _ in range(passes):
         felt = float(weight @ x)
         missed, scale = total - noise - felt, 1.0
@@ -52,16 +54,39 @@ def held(x, weight, *bounds):
     return x * scale
 
 
-@given(SEEDS, st.integers(1, 70), st.floats(0.1, 3), st.floats(-0.2, 0.2), st.integers(1, 8))
-def test_an_excess_is_taken_from_all_that_is_pressed_and_a_lack_is_scaled_up(seed, size, part, noise, passes):
+@given(SEEDS, st.integers(1, 70), st.floats(0.1, 3), st.floats(0, 1), st.sampled_from([0, 9]), st.integers(1, 8))
+def test_an_excess_is_taken_from_all_that_is_pressed_and_a_lack_is_scaled_up(
+    seed, size, part, likely, most, passes
+):
     random = np.random.default_rng(seed)
     x = np.maximum(random.normal(size=size), 0).astype(np.float32)
     weight = random.random(size).astype(np.float32)
     total = part * float(weight @ x)
-    bounds = total, noise * total, 0.01 * total, 0.1, 0.5, 2.0, passes
+    bounds = total, likely, most, 0.01 * total, 0.1, 0.5, 2.0, passes
     expected = held(x, weight, *bounds)
     readings.keep_total(x, weight, *bounds)
     np.testing.assert_allclose(x, expected, rtol=1e-3, atol=1e-4)
+
+
+@given(SEEDS, st.integers(1, 60), st.sampled_from([0.0, 0.3, 1.0]))
+def test_readings_are_compared_with_what_is_felt_of_an_image_where_they_count(seed, size, lost):
+    random = np.random.default_rng(seed)
+    read, felt = random.integers(-9, 9, size).astype(np.float32), random.normal(0, 9, size).astype(np.float32)
+    flags = np.uint8(random.random(size) < lost) * MISSING
+    known, lowest, highest, same, below, expected, outliers, square, *of_all = readings.compare(
+        read, felt, flags, 0.5, 0.3, 2.0
+    )
+    of_all_expected = np.vdot(felt, felt), np.vdot(felt, np.where(flags, felt, read))
+    np.testing.assert_allclose(of_all, of_all_expected, rtol=1e-4, atol=1e-3)
+    y, off = read[flags == 0], abs(felt - read)[flags == 0]
+    assert known == y.size
+    if known:
+        assert (lowest, highest, same) == (y.min(), y.max(), np.count_nonzero(y == y.max()))
+        assert below == pytest.approx((np.minimum(y, 0) ** 2).sum())
+        assert expected == pytest.approx(np.hypot(0.5, 0.3 * abs(y).max()))
+        off /= expected
+        assert outliers == np.count_nonzero(off > 2)
+        assert square == pytest.approx((off**2).mean(), rel=1e-4)
 
 
 @given(SEEDS, st.integers(1, 30), st.integers(1, 30))
@@ -91,7 +116,10 @@ def test_shapes_that_do_not_fit_are_refused():
         with pytest.raises(ValueError, match="do not fit"):
             readings.part_sums(rows, *parts, np.empty((len(down), len(across))))
     with pytest.raises(ValueError, match="do not fit"):
-        readings.keep_total(row, row[1:].copy(), 1.0, 0.0, 0.0, 0.0, 0.5, 2.0, 8)
+        readings.keep_total(row, row[1:].copy(), 1.0, 0.0, 0.0, 0.0, 0.0, 0.5, 2.0, 8)
+    for wrong in ([row, row[1:].copy(), states], [row, row, states[1:].copy()]):
+        with pytest.raises(ValueError, match="do not fit"):
+            readings.compare(*wrong, 1.0, 0.01, 16.0)
 
 
 @given(SEEDS, st.integers(1, 8), st.sampled_from([1e-3, 1.0, 30.0]))
