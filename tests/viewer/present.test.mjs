@@ -73,6 +73,8 @@ test("a warning stays five seconds after it was last reported, with its newest t
   const cut = (now) => warnings.hold([{ code: "cut_short", text: "cut", taxels: null }], now).length;
   const counts = Array.from({ length: 12 }, (_, i) => cut(10_000 + 1000 * i)); // it lasts ten seconds
   assert.deepEqual(counts, [0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 1, 1]);
+  const both = warnings.hold([{ code: "cut_short", text: "cut", taxels: null }, ...dead("1 taxel dead")], 21_500);
+  assert.deepEqual(both, ["1 taxel dead", "cut"]); // a little less sharp is said last
   assert.equal(cut(30_000), 0); // and begins again after a gap
   const early = [{ code: "noise_unknown", text: "early", taxels: null }];
   assert.deepEqual(warnings.hold(early, 30_100), []); // by itself

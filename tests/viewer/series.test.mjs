@@ -137,6 +137,7 @@ test("the highest of each cell is held since a frame, the mean over the last sec
   held.reset("peak");
   for (const each of frames) held.push(each, ROW);
   assert.deepEqual([...of().raw, of().ofRestored.peak, held.since], [5, 4, 3, 10, 1]);
+  assert.deepEqual([of().ofRaw.force, of().ofRestored.force, of().ofRestored.x], [NaN, NaN, NaN]); // of no moment
   held.reset("1");
   assert.deepEqual([...of().raw], [1, 2, 3]);
   held.reset("5");

@@ -167,6 +167,22 @@ test("a pause stands at the frame whose contacts have come, if that is of late",
   }
 });
 
+test("contacts that come during a pause belong to its frames, and it stands at one that has them", () => {
+  const { session, socket } = watch();
+  const contacts = (timestamp) => ({ type: "contacts", unit: "kPa", sequence: 10 * timestamp, timestamp, contacts: [{}] });
+  socket.deliver(...frame(10), ...frame(11), ...frame(12));
+  session.pause(true);
+  assert.deepEqual([session.frame.sequence, session.contacts.at(session.frame.timestamp)], [12, null]);
+  for (const [came, stands] of [[1.1, 11], [1.2, 12], [1.3, 12]]) {
+    socket.deliver(contacts(came));
+    assert.equal(session.frame.sequence, stands);
+    assert.equal(session.contacts.at(session.frame.timestamp).sequence, stands);
+  }
+  session.show(2);
+  socket.deliver(contacts(1.1));
+  assert.deepEqual([session.frame.sequence, session.contacts.at(session.frame.timestamp)], [10, null]); // none of another
+});
+
 test("frames of another run or another shape are not mixed with those before", () => {
   const { session, socket, events } = watch();
   socket.deliver(...frame(10), ...frame(11), ...frame(11 + 601));

@@ -75,7 +75,7 @@ def test_a_gain_is_fitted_step_by_step_and_applied(rig, skin, url, open_page):
     page.wait(f"{MESSAGE} === 'Undone: the calibration before holds again.'")
     assert not page.evaluate(VISIBLE.format("undo"))
     assert rig.sensor.plan.file is None
-    assert rig.service.events.after(0)[-1].text == "configured: without a file"
+    assert rig.service.events.after(0)[-1].text == "configured: the values of the configuration hold"
     page.press("Escape")
     assert not page.evaluate("document.getElementById('calibrate').open")
     page.finish("404")  # of a look at what was just applied

@@ -9,7 +9,7 @@ const SERIES_S = 600;
 const MAX_ROWS = 96_000; // 6 MB: eight contacts at twenty messages a second; of more contacts the time is shorter
 const MAX_CONTACTS = 1000; // that are listed
 const ROW = 8; // time, number of the message, id, force, peak, area, x, y
-const GONE_AFTER_S = 0.2; // after which the service gives a contact's id to none
+const GONE_AFTER_S = 0.2; // after which a contact has ended, unless it comes back
 
 export class ContactSeries {
   /** @param {number} [capacity] rows: contacts times messages */

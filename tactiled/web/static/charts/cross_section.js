@@ -35,6 +35,11 @@ export class CrossSection {
     this._axes = { left: 0, right: 1, bottom: 0, top: 1, x: AXES.x, y: UNITS[0] };
   }
 
+  /** @returns {boolean} a band of the deviation is drawn */
+  get banded() {
+    return this._restored.spread !== null;
+  }
+
   /** @param {Plane} plane */
   use(plane) {
     this._plane = plane;

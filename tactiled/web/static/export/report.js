@@ -11,7 +11,7 @@ import { FORCE_UNITS, UNITS, forceNumber } from "../shell/units.js";
 /** @import { Contact } from "../wire/sensor_stream.js" */
 
 /** @typedef {{name: string, color: string, dash: string, isBand: boolean}} KeyEntry a line of a chart, named with its unit */
-/** @typedef {{title: string, address: string, key: KeyEntry[]}} Picture */
+/** @typedef {{title: string, address: string, key: KeyEntry[]|null}} Picture null: it needs no caption */
 
 /**
  * @typedef {object} Reported
@@ -20,7 +20,7 @@ import { FORCE_UNITS, UNITS, forceNumber } from "../shell/units.js";
  * @property {Plane} plane
  * @property {[string, string][]} origin name and value of what is said of the frame
  * @property {Picture[]} pictures the maps first
- * @property {Contact[]} contacts
+ * @property {Contact[]|null} contacts null where they were not looked for in the frame
  * @property {[string, RegionMeasures|null][]} regions by name
  * @property {ForceTrace|null} trace of the force; null where it has none
  * @property {Pick<ThemeColors, "text"|"muted"|"panel">} colors of the page
@@ -55,7 +55,7 @@ export function reportHtml({ title, frame, plane, origin, pictures, contacts, re
     ["centre x, mm", fixed(ofRaw.x, 1), fixed(ofRestored.x, 1)],
     ["centre y, mm", fixed(ofRaw.y, 1), fixed(ofRestored.y, 1)],
   ];
-  const found = contacts.map((each) => [
+  const found = (contacts ?? []).map((each) => [
     `contact ${each.id}`, forceNumber(each.force, unit), number(each.peak), number(each.area_mm2), fixed(each.x_mm, 1), fixed(each.y_mm, 1),
   ]);
   const measured = regions.map(([name, of]) => [
@@ -65,6 +65,7 @@ export function reportHtml({ title, frame, plane, origin, pictures, contacts, re
     `<dl>${origin.map(([name, value]) => `<dt>${escaped(name)}</dt><dd>${escaped(value)}</dd>`).join("")}</dl>`,
     ...pictures.slice(0, 1).map(figure), table(both),
     ...(found.length ? [`<h2>Contacts</h2>${table([["", `force${force}`, `peak${pressure}`, "area, mm²", "x, mm", "y, mm"], ...found])}`] : []),
+    ...(contacts ? [] : ["<h2>Contacts</h2><p>They were not looked for in this frame.</p>"]),
     ...(measured.length ? [`<h2>Regions</h2>${table([["", `force${force}`, `mean${pressure}`, `peak${pressure}`, "area, mm²"], ...measured])}`] : []),
     ...pictures.slice(1).map(figure),
     ...(trace ? [`<details><summary>Force over time, values</summary><pre>${escaped(traceCsv(trace, FORCE_UNITS[unit]))}</pre></details>`] : []),
@@ -75,7 +76,7 @@ export function reportHtml({ title, frame, plane, origin, pictures, contacts, re
 
 /** @param {Picture} picture @returns {string} */
 const figure = ({ title, address, key }) =>
-  `<figure><img src="${address}" alt="${escaped(title)}"><figcaption>${escaped(title)}${key.length ? `<ul class="key">${key.map(entry).join("")}</ul>` : ""}</figcaption></figure>`;
+  `<figure><img src="${address}" alt="${escaped(title)}">${key ? `<figcaption>${escaped(title)}<ul class="key">${key.map(entry).join("")}</ul></figcaption>` : ""}</figure>`;
 
 /** @param {KeyEntry} entry @returns {string} */
 const entry = ({ name, color, dash, isBand }) =>

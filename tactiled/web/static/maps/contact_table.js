@@ -8,6 +8,7 @@ import { forceNumber, forceSpread } from "../shell/units.js";
 
 export const MAX_ROWS = 6; // contacts, the strongest: the maps mark no more
 const COLUMNS = 6;
+const LATE_MS = 2000; // that contacts of a busy service may be late by
 const DEVIATIONS = 2; // that are shown of a force
 
 export class ContactTable {
@@ -16,6 +17,7 @@ export class ContactTable {
     this._body = /** @type {HTMLTableSectionElement} */ (root.querySelector("tbody"));
     this._table = /** @type {HTMLTableElement} */ (root.querySelector("table"));
     this._line = /** @type {HTMLElement} */ (root.querySelector("p"));
+    this._known = -Infinity; // ms, when contacts were last shown
   }
 
   /**
@@ -24,14 +26,20 @@ export class ContactTable {
    * @param {number} taxels
    * @param {number} unknown of these, nothing is known
    * @param {number} unit of their pressure
+   * @param {boolean} still the frame does not change: no contacts are on their way
    * @param {Map<string, number>|null} charted what the chart of series shows, as "contact 3"; null where it can show none
    */
-  show(contacts, enabled, taxels, unknown, unit, charted) {
+  show(contacts, enabled, taxels, unknown, unit, still, charted) {
+    const now = performance.now();
+    if (contacts) this._known = now;
+    const late = !contacts && enabled && !still && now - this._known < LATE_MS;
+    this._table.classList.toggle("late", late);
+    if (late) return; // the rows stay, as old ones: nothing below them jumps
     const count = Math.min(MAX_ROWS, contacts?.length ?? 0);
     this._table.hidden = !count;
     this._line.hidden = count > 0 && (contacts?.length ?? 0) === count;
     const more = (contacts?.length ?? 0) - count;
-    setText(this._line, count ? `and ${more} weaker` : !enabled ? "Contacts are switched off." : contacts ? noContact(taxels, unknown) : "–");
+    setText(this._line, count ? `and ${more} weaker` : !enabled ? "Contacts are switched off." : contacts ? noContact(taxels, unknown) : still ? "They were looked for in no frame near this one." : "–");
     while (this._body.rows.length < count) this._body.append(newRow());
     while (this._body.rows.length > count) this._body.deleteRow(-1);
     for (let i = 0; contacts && i < count; i += 1) fillRow(this._body.rows[i].cells, contacts[i], unit, charted);

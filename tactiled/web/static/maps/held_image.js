@@ -79,6 +79,8 @@ export class HeldImage {
     const noise = frame.noise || 0;
     measure(raw, plane.raw, noise, ofRaw, frame.unit, rawMayLack(plane.raw));
     measure(restored, plane.restored, noise * (frame.noiseGain || 1), ofRestored, frame.unit);
+    // The highest of each cell were never pressed together: their sum is no force, and their centre none.
+    if (this.kind === "peak") for (const of of [ofRaw, ofRestored]) of.force = of.x = of.y = NaN;
     this._frame = { ...frame, raw, restored, ofRaw, ofRestored, sheared: false };
   }
 

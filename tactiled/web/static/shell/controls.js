@@ -83,7 +83,7 @@ function buttons(viewer, targets) {
   press("save-png", () => save("png", viewer, targets));
   press("save-csv", () => save("csv", viewer, targets));
   press("save-report", () => save("html", viewer, targets));
-  press("copy-link", copyLink);
+  press("copy-link", () => copyLink(viewer));
   press("help-open", showHelp);
   press("help-close", () => help.close());
   press("banner-action", () => viewer.session?.stream.retry());
@@ -95,13 +95,14 @@ function buttons(viewer, targets) {
   shear.addEventListener("change", () => viewer.showShear(shear.checked));
 }
 
-/** Copy the address, which keeps sensor, view, colours, fixed range and place in a recording. */
-async function copyLink() {
+/** Copy the address, which keeps sensor, view, colours, fixed range and place in a recording. @param {Viewer} viewer */
+async function copyLink(viewer) {
+  const link = viewer.view.link;
   try {
-    await navigator.clipboard.writeText(location.href); // which a page from another machine without TLS may not
+    await navigator.clipboard.writeText(link); // which a page from another machine without TLS may not
     notice("Link copied.");
   } catch {
-    notice(`The browser does not let this page copy; the link is ${location.href}`, true);
+    notice(`The browser does not let this page copy; the link is ${link}`, true);
   }
 }
 
@@ -223,10 +224,10 @@ function report(of, viewer) {
     plane: session.plane,
     origin: originOf(of, viewer),
     pictures: [
-      { title: "Maps", address: finePicture(of, viewer).toDataURL(), key: [] },
+      { title: "Maps", address: finePicture(of, viewer).toDataURL(), key: null },
       ...charts.map((each) => ({ title: each.ariaLabel ?? "", address: onPanel(each), key: keyOf(each) })),
     ],
-    contacts: viewer.contactsOfFrame?.contacts ?? [],
+    contacts: viewer.contacts ? viewer.contactsOfFrame?.contacts ?? null : [],
     regions: viewer.regions?.measured() ?? [],
     trace: session instanceof PlaybackSession ? null : session.history.trace,
     colors: themeColors(),

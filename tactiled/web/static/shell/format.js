@@ -11,7 +11,7 @@ export function number(value, digits = 3) {
   if (!Number.isFinite(value)) return "\u2013";
   const size = Math.abs(value) / (1 - 0.5 * 10 ** -digits); // rounded up, 99.96 has three digits before the point
   const decimals = size === 0 ? digits - 1 : digits - 1 - Math.floor(Math.log10(size));
-  return fixed(value, Math.max(0, Math.min(digits, decimals)));
+  return fixed(value, decimals > digits + 2 ? digits : Math.max(0, decimals)); // of what is smaller only that it is small
 }
 
 /**

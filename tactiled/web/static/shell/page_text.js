@@ -72,7 +72,7 @@ export class PageText {
     const { contactsOfFrame } = viewer;
     const { count = 0 } = session?.plane?.raw ?? {};
     viewer.label(contactsOfFrame?.contacts ?? []);
-    this.contacts.show(contactsOfFrame?.contacts ?? null, viewer.contacts, count, frame?.ofRaw.unknown ?? 0, viewer.unit, viewer.charted);
+    this.contacts.show(contactsOfFrame?.contacts ?? null, viewer.contacts, count, frame?.ofRaw.unknown ?? 0, viewer.unit, paused, viewer.charted);
     const offset = paused && contactsOfFrame && frame ? timeOffset(contactsOfFrame, frame) : "";
     setText(this._contactsOf, offset ? `from ${offset}` : "in the restored image");
     setText(byId("restored-sub"), viewer.held.text || (offset ? `contacts from ${offset}` : "pressure on the cover"));
@@ -98,10 +98,11 @@ export class PageText {
     const known = frame && Number.isFinite(lineAt);
     const where = known ? `${ACROSS[along]} ${lengthText(lineAt)}${viewer.probe.pinned ? ", pinned" : ""}` : "";
     setText(byId("section-where"), where);
-    const banded = !(viewer.session instanceof PlaybackSession);
+    const { banded } = viewer.section;
     const drawn = `${along} ${banded}`;
     if (this._along === drawn) return;
     this._along = drawn;
+    /** @type {HTMLElement} */ (document.querySelector(".key .band")).hidden = !banded;
     const turn = byId("section-turn");
     turn.textContent = along === "x" ? "\u2194" : "\u2195";
     turn.setAttribute("aria-label", `Cross-section along ${along}. Change`);

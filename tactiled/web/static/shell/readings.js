@@ -149,7 +149,7 @@ export class Readings {
     setText(this._at["cut-short"], !status ? "\u2013" : status.warnings.some((each) => each.code === "cut_short") ? "yes" : "no");
     setText(this._offset, offset);
     if (still || status?.sensor !== this._status?.sensor) this._alerts.clear();
-    this._alerts.show(status?.warnings ?? [], performance.now());
+    this._alerts.show(status?.warnings ?? null, performance.now());
   }
 
   /**

@@ -118,6 +118,14 @@ export class View {
     return said.size ? `?${said}` : "";
   }
 
+  /** @returns {string} the page's address with its colours, as another browser may remember others */
+  get link() {
+    const [name, query] = location.hash.split("?");
+    const said = new URLSearchParams(query);
+    said.set("colors", this._colors.value);
+    return `${location.href.split("#")[0]}${name}?${String(said).replaceAll("%3A", ":")}`;
+  }
+
   /** Fetch the colours. */
   async load() {
     const { value } = this._colors;

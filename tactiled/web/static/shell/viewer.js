@@ -388,7 +388,10 @@ export class Viewer {
       },
       onCalibration: () => this.loadKernel(),
       onLink: () => this._listener.onChange(),
-      onContacts: () => this.refresh(),
+      onContacts: () => {
+        this._fit(); // of a pause that has just begun, which stands at a frame whose contacts have come
+        this.refresh();
+      },
       onOtherShape: () => this.reopen(name),
     });
     session.unit = unitOf(unit);

@@ -25,12 +25,13 @@ export class Warnings {
   /**
    * @param {Warning[]} warnings of the newest image
    * @param {number} now ms
-   * @returns {string[]} texts of these and of those reported shortly before
+   * @returns {string[]} texts of these and of those reported shortly before, what only lasts at the end
    */
   hold(warnings, now) {
     for (const { code, text } of warnings) if (!QUIET.has(code) || this._lasts(code, now)) this._recent.set(code, { text, at: now });
     for (const [code, { at }] of this._recent) if (now - at > STAYS_MS) this._recent.delete(code);
-    return [...this._recent.values()].map((each) => each.text);
+    const recent = [...this._recent].sort(([one], [other]) => Number(QUIET.has(one)) - Number(QUIET.has(other)));
+    return recent.map(([, { text }]) => text);
   }
 
   /** @param {string} code @param {number} now ms @returns {boolean} what is reported now was so for long */
@@ -59,16 +60,17 @@ export class Alerts {
     this._recent.clear();
   }
 
-  /** @param {Warning[]} warnings of the newest image @param {number} now ms */
+  /** @param {Warning[]|null} warnings of the newest image; null: not known @param {number} now ms */
   show(warnings, now) {
-    const texts = this._recent.hold(warnings, now);
-    const key = texts.join("\n");
+    const texts = this._recent.hold(warnings ?? [], now);
+    const none = warnings ? "No warning" : "Warnings are not known";
+    const key = [none, ...texts].join("\n");
     if (key === this._key) return;
     this._key = key;
     const count = texts.length;
     document.body.dataset.warnings = String(count);
     this._summary.tabIndex = count ? 0 : -1; // without a warning there is nothing to open
-    setText(this._line, !count ? "No warning" : count === 1 ? texts[0] : `${count} warnings: ${texts[0]}`);
+    setText(this._line, !count ? none : count === 1 ? texts[0] : `${count} warnings: ${texts[0]}`);
     this._list.replaceChildren(...texts.map((each) => element("li", "", each)));
     if (!count) this._root.open = false;
   }

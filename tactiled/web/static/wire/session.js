@@ -31,7 +31,8 @@ const MAX_UNPAINTED = 2; // frames under way or not painted: with one, each woul
 const MAX_STATUSES = 128; // more than ten seconds at ten a second
 const STATUS_WITHIN_S = 1; // of the frame that it is shown with
 const MAX_CONTACTS = 256; // messages: more than ten seconds at twenty a second
-const CONTACTS_WITHIN_S = 0.25;
+const CONTACTS_WITHIN_S = 0.25; // of a live frame,
+const LOOK_S = 0.05; // and of one that stands still: from one of the service's looks for contacts to the next
 const PAUSED_WITHIN_S = 0.15; // of the newest frame: what a pause shows for the sake of contacts
 const MAX_GAP_S = 60; // between two frames of one run
 
@@ -58,6 +59,7 @@ export class Session {
     this.deviations = new DeviationCache(name, plane.restored.count);
     this.freshness = new Freshness();
     this.paused = false;
+    this._settles = false; // a pause has just begun: contacts of kept frames may still come
     /** Unit of the kept frames' pressure, index in UNITS; before the first one as the list of sensors has it. */
     this.unit = 0;
     /** Which kept frame is shown, 0 the newest. */
@@ -77,8 +79,9 @@ export class Session {
       onLink: () => this._linked(),
       onContacts: (message) => {
         this.series.push(message);
-        if (this.paused || unitOf(message.unit) !== this.unit) return;
+        if (unitOf(message.unit) !== this.unit || (this.paused && message.timestamp > this.newest)) return;
         this.contacts.push(message);
+        if (this._settles) this.back = this._withContacts(this.back);
         this._listener.onContacts();
       },
     });
@@ -127,25 +130,27 @@ export class Session {
   /** @param {boolean} to stand still, at the newest frame or the one before it whose contacts have come */
   pause(to) {
     if (to && !this.paused) this.back = this._withContacts();
-    this.paused = to;
+    this.paused = this._settles = to;
+    this.contacts.setWithin(to ? LOOK_S : CONTACTS_WITHIN_S);
     this.freshness.release(); // while paused every frame that is kept may be
     if (to) return;
     this.back = 0;
     this._request();
   }
 
-  /** @returns {number} how far back the frame of the newest contacts is; 0 if none came of late */
-  _withContacts() {
+  /** @param {number} [other] if none came of late @returns {number} how far back the frame of the newest contacts is */
+  _withContacts(other = 0) {
     const { contacts: { newest }, history } = this;
-    if (!newest?.contacts.length || newest.timestamp < this.newest - PAUSED_WITHIN_S) return 0;
+    if (!newest?.contacts.length || newest.timestamp < this.newest - PAUSED_WITHIN_S) return other;
     for (let back = 0; back < history.length; back += 1) if (history.at(back)?.sequence === newest.sequence) return back;
-    return 0;
+    return other;
   }
 
   /** Show another kept frame; the picture stands still from then on. @param {number} to how far back */
   show(to) {
     if (!this.history.length) return;
     this.pause(true);
+    this._settles = false;
     this.back = Math.max(0, Math.min(this.history.length - 1, to));
   }
 
