@@ -13,7 +13,8 @@ MAX_FAINT_STEP_PITCHES = 1.0  # the same if it has become faint
 MAX_LONE_SPEED = 100.0  # pitches a second by which a contact may go further if no other is near
 SPEED_GAIN = 0.5  # share of the difference from the predicted place that changes the speed
 CHANGE_PITCHES = 0.5  # a link counts as longer by, for each factor e of area: a ring is not what it surrounds
-GONE_AFTER_S = 0.2  # until then a contact may come back
+GONE_AFTER_S = 0.2  # until then a contact may come back,
+GONE_AFTER_IMAGES, MAX_GONE_S = 3, 1.0  # or in so many images within this: they may come slowly
 FORBIDDEN = 1e6  # cost of a link: more than any number of links within reach
 
 
@@ -26,6 +27,12 @@ class _Track:
     speed: Floats  # (2,) mm/s
     area: float  # mm2
     age: float = 0.0  # s since then
+    missed: int = 0  # images since then
+
+    @property
+    def gone(self) -> bool:
+        """Whether it does not come back."""
+        return self.age >= (MAX_GONE_S if self.missed <= GONE_AFTER_IMAGES else GONE_AFTER_S)
 
     def predicted(self) -> Floats:
         """Where it should be now, mm."""
@@ -37,15 +44,14 @@ class _Track:
             self.speed = np.zeros(2)
         elif self.age > 0:
             self.speed = self.speed + SPEED_GAIN * (place - self.predicted()) / self.age
-        self.place, self.area, self.age = place, area, 0.0
+        self.place, self.area, self.age, self.missed = place, area, 0.0, 0
 
 
 class Tracker:
     """Gives a contact the same id from image to image.
 
     It links as many as it can within a reach of where they were or should be, by the shortest ways and the least
-    changes of area; then the others, if they are alone, over the way that swift ones go. A contact may come back
-    within GONE_AFTER_S.
+    changes of area; then the others, if they are alone, over the way that swift ones go.
     """
 
     def __init__(self, pitch_mm: float) -> None:
@@ -63,7 +69,8 @@ class Tracker:
         """The contacts of an image at `time` (s), with ids; of those with a peak below `begin` none begins."""
         elapsed, self._time = max(0.0, time - self._time), time
         for each in self._tracks:
-            each.age += elapsed
+            each.age, each.missed = each.age + elapsed, each.missed + 1
+        self._tracks = [each for each in self._tracks if each.missed == 1 or not each.gone]
         clear = np.array([each.peak > begin for each in contacts], bool)
         places = np.array([(each.x_mm, each.y_mm) for each in contacts]).reshape(-1, 2)
         areas = np.array([each.area_mm2 for each in contacts])
@@ -76,7 +83,7 @@ class Tracker:
             if track is not None:
                 track.move(places[number], contact.area_mm2)
                 named.append(replace(contact, id=track.id))
-        self._tracks = [each for each in self._tracks if each.age < GONE_AFTER_S]
+        self._tracks = [each for each in self._tracks if not each.gone]
         return named
 
     def _begin(self, place: Floats, area: float) -> _Track:

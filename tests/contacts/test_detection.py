@@ -230,6 +230,8 @@ PAUSE = 10.0
         # one comes back soon with its id and late with another; one that is gone does not go on
         [((at(10.2),), [1]), ((), []), ((at(10.4),), [1]), *5 * [((), [])], ((at(10.3),), [2]), ((), []),
          ((at(14),), [3])],
+        # where images come slowly, one that some in turn do not show goes on, and after a second does not
+        [((at(10),), [1]), (0.3, (), []), (0.3, (at(10),), [1]), (0.6, (), []), (0.6, (at(10),), [2])],
         # one that moves is awaited where it goes
         [*[((at(2.5 * n),), [1]) for n in range(5)], ((), []), ((), []), ((at(17.5),), [1])],
         # a faint one goes on nearby and does not begin
