@@ -12,13 +12,13 @@ from threadpoolctl import threadpool_limits
 from tactiled.build import SensorPlan
 from tactiled.cli import options
 from tactiled.cli.sniff import listen, survey_lines
-from tactiled.config import Config, load, load_as_meant, tls_context
+from tactiled.config import Config, faults_between_sections, load, load_as_meant, tls_context
 from tactiled.cover.summary import CoverSummary, summarise
 from tactiled.errors import ConfigError
 from tactiled.live.service import Service
 from tactiled.live.state_file import StateFile
 from tactiled.messages.foxglove import need
-from tactiled.plausibility.settings import Finding, config_findings, unedited
+from tactiled.plausibility.settings import Finding, config_findings, refused_codecs, unedited
 from tactiled.plausibility.traffic import bus_report
 
 EXIT_DOUBTFUL = 1
@@ -64,10 +64,14 @@ def findings_of(config: Path) -> list[Finding]:
     """What is hard to believe of a configuration file; printed where ConfigError says what cannot be."""
     try:
         settings = load(config)
-    except ConfigError:
-        if other := load_as_meant(config):
-            _print(config_findings(other))
-        raise
+    except ConfigError as error:
+        if (meant := load_as_meant(config)) is None:
+            raise
+        other, replaced = meant
+        findings = config_findings(other)  # but of what the file does not have
+        _print([each for each in findings if not any(place.startswith(each.place) for place in replaced)])
+        faults = [f"{config}: {each}" for each in (*faults_between_sections(other), *refused_codecs(other))]
+        raise ConfigError("\n".join(dict.fromkeys([*str(error).splitlines(), *faults]))) from error
     return unedited(config.read_text("utf-8")) + config_findings(settings)
 
 

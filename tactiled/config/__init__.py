@@ -3,6 +3,7 @@
 from tactiled.config.load import (
     Buses,
     classic,
+    faults_between_sections,
     load,
     load_as_meant,
     load_buses,
@@ -15,6 +16,6 @@ from tactiled.config.load import (
 from tactiled.config.schema import Config, Sensor, Served, Server, Zenoh
 
 __all__ = [
-    "Buses", "Config", "Sensor", "Served", "Server", "Zenoh", "classic", "load", "load_as_meant", "load_buses",
-    "load_served", "parse", "ros_name", "tls_context", "validated",
+    "Buses", "Config", "Sensor", "Served", "Server", "Zenoh", "classic", "faults_between_sections", "load",
+    "load_as_meant", "load_buses", "load_served", "parse", "ros_name", "tls_context", "validated",
 ]  # fmt: skip

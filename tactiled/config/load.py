@@ -45,12 +45,15 @@ def load(path: Path) -> Config:
     return parse(_read(path), str(path), path.parent)
 
 
-def load_as_meant(path: Path) -> Config | None:
-    """Read a file, its numbers past their bounds as they may have been meant; None where it has other faults."""
+def load_as_meant(path: Path) -> tuple[Config, tuple[str, ...]] | None:
+    """Read a file, its numbers past their bounds as they may have been meant, and give the places of these.
+
+    None where it has other faults.
+    """
     data = _parse(_read(path), str(path))
     context = {"folder": path.parent}
     try:
-        return Config.model_validate(data, context=context)
+        return Config.model_validate(data, context=context), ()
     except ValidationError as error:
         faults = error.errors()
     try:
@@ -58,7 +61,8 @@ def load_as_meant(path: Path) -> Config | None:
             *tables, key = fault["loc"]
             table: Any = functools.reduce(_in_table, tables, data)
             table[key] = fault["ctx"]["meant"]
-        return Config.model_validate(data, context=context)
+        replaced = (".".join(str(part) for part in fault["loc"] if part != 0) for fault in faults)
+        return Config.model_validate(data, context=context), tuple(replaced)
     except (ValidationError, LookupError, TypeError):
         return None
 
@@ -99,7 +103,7 @@ def parse(text: str, source: str = "config", folder: Path = Path()) -> Config:
     if "zenoh" in data and not {"bus", "sensor"} & data.keys():
         raise ConfigError(f"{source}: bus, sensor: missing: only `tactiled serve` needs neither")
     config = validated(Config, data, source, folder)
-    if faults := list(_faults_between_sections(config)):
+    if faults := list(faults_between_sections(config)):
         raise ConfigError("\n".join(f"{source}: {fault}" for fault in faults))
     logs.hide(_secrets(config))
     return config
@@ -196,7 +200,7 @@ def _cut(value: Any) -> str:
     return text if len(text) <= 60 else text[:57] + "..."
 
 
-def _faults_between_sections(config: Config) -> Iterator[str]:
+def faults_between_sections(config: Config) -> Iterator[str]:
     """Faults between sections, and those that other packages know."""
     from tactiled.bus.reader import no_interface  # which imports python-can: `tactiled serve` needs none
 

@@ -330,8 +330,8 @@ class Zenoh(Section):
     password: Annotated[SecretStr, Field(min_length=1, max_length=200)] | None = None
     """Password of that user."""
     control_key: Key | None = None
-    """Key of changes: a server's own (`openssl rand -hex 32`); a reader's as `tactiled serve FILE --key ROBOT`
-    prints it. Left out: nothing can be changed."""
+    """Key of changes. For a server, make one (`openssl rand -hex 32`); a reader has the one that
+    `tactiled serve FILE --key ROBOT` prints. Left out: nothing can be changed."""
 
     @model_validator(mode="after")
     def _complete(self) -> "Zenoh":

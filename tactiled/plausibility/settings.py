@@ -68,8 +68,18 @@ def config_findings(config: schema.Config) -> list[Finding]:
         findings.append(Finding("server.read_token", "", reason))
     for name, sensor in config.sensor.items():
         with suppress(TactileError):
-            findings += _sensor(f"sensor.{name}", sensor)
+            for each in _sensor(f"sensor.{name}", sensor):
+                findings.append(each)
     return findings
+
+
+def refused_codecs(config: schema.Config) -> Iterator[str]:
+    """Why codecs of a configuration cannot be made."""
+    for name, sensor in config.sensor.items():
+        try:
+            make_codec(sensor)
+        except TactileError as error:
+            yield f"sensor.{name}: {error}"
 
 
 def unedited(text: str) -> list[Finding]:
@@ -80,7 +90,8 @@ def unedited(text: str) -> list[Finding]:
 
 
 def _sensor(place: str, sensor: schema.Sensor) -> Iterator[Finding]:
-    array, codec, calibration = make_array(sensor), make_codec(sensor), make_calibration(sensor)
+    """What needs a codec comes last: the rest does not wait for one that is refused."""
+    array = make_array(sensor)
     yield from _array(f"{place}.array", array)
     yield from _listed_grid(f"{place}.array", array)
     yield from _depth(f"{place}.cover", sensor.cover, array)
@@ -91,6 +102,7 @@ def _sensor(place: str, sensor: schema.Sensor) -> Iterator[Finding]:
                 where = f"{place}.{key}" + f"[{n}]" * (len(layers) > 1)
                 yield from _stiffness(where, layer, array if key == "cover" else None)
     yield from _shell(place, sensor)
+    codec, calibration = make_codec(sensor), make_calibration(sensor)
     yield from _calibration(f"{place}.calibration", sensor.calibration, calibration, codec)
     yield from _age(f"{place}.stale_after_s", sensor.stale_after_s, codec)
     if isinstance(codec, Dbc) and calibration.curves is None:

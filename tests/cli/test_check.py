@@ -48,6 +48,28 @@ def test_what_cannot_be_and_what_is_doubtful_are_told_at_once(palm):
     assert young.endswith("young_mpa = 980000000.0: give 0.001 to 1e7 MPa; 980 MPa if it was given in Pa")
 
 
+def test_only_values_of_the_file_are_called_doubtful(palm):
+    path = palm("thickness_mm = 1.2", "thickness_mm = 2000")
+    done = run("check", path)
+    assert done.stdout == ""
+    assert "thickness_mm = 2000: give " in str(done.exception)
+
+
+def test_a_wrong_codec_or_bus_hides_nothing_that_is_doubtful(palm):
+    path = palm("thickness_mm = 1.2", "thickness_mm = 0.0012")
+    path.write_text(path.read_text().replace("base_id = 0x500", "base_id = 0x7fff"))
+    done = run("check", path)
+    assert done.stdout.startswith("doubtful: sensor.palm.cover.thickness_mm = 0.0012: ")
+    assert "codec id 0x7fff (base_id + array_id) is past 0x7ff" in str(done.exception)
+    path.write_text(path.read_text().replace("pitch_mm = 1.0", "pitch_mm = 0.001").replace('= "can0"', '= "can1"'))
+    texts = str(run("check", path).exception).splitlines()
+    assert all(each.startswith(f"{path}: ") for each in texts)
+    for at, fault in enumerate(
+        ("pitch_mm = 0.001: give", "sensor.palm.bus = 'can1': no such bus", "codec id 0x7fff")
+    ):
+        assert fault in texts[at]
+
+
 def test_a_hint_and_a_file_as_it_is_written_end_a_check_well(palm):
     assert "doubtful" not in succeed("check", palm())
     output = succeed("check", palm("poisson = 0.48", "poisson = 0.3"))
