@@ -193,6 +193,8 @@ def attributes(name: str, provenance: Mapping[str, Any]) -> Attributes:
     """Attributes of an array by the CF conventions: units, what it is, and the meaning of flags."""
     texts = {"units": provenance.get("units", {}), "long_name": provenance.get("descriptions", {})}
     found = {key: some[name] for key, some in texts.items() if name in some}
+    if name == "regions":  # whose measures have a unit each, which is none of CF's
+        found["measure_units"] = found.pop("units", "")
     if name != "flags":
         return found
     bits: Mapping[str, int] = provenance.get("flag_bits", {})

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pyarrow import parquet
 
 from tactiled.archive import arrays
+from tactiled.archive.csv_table import headings
 from tactiled.archive.writers import Writer
 from tactiled.build import SensorPlan
 from tactiled.contacts.regions import Measures
@@ -40,6 +41,7 @@ class ParquetWriter(Writer):
         if not (frames := self._chunk.take()):
             return
         frames.pop("noise_kpa", None)  # is `noise`
+        frames[f"noise_{self._plan.unit}"] = frames.pop("noise")  # as a CSV names it
         images_last = sorted(frames.items(), key=lambda each: each[1].ndim)
         group = pa.table(dict(each for name, array in images_last for each in self._columns(name, array)))
         if self._table is None:
@@ -56,8 +58,8 @@ class ParquetWriter(Writer):
             )
         elif name == "regions":
             for region, measures in zip(self._regions, np.moveaxis(array, 1, 0), strict=True):
-                for key, of in zip(Measures._fields, measures.T, strict=True):
-                    yield f"{region}_{key}", pa.array(of, from_pandas=True)
+                for heading, of in zip(headings(self._plan.unit), measures.T, strict=True):
+                    yield f"{region}_{heading}", pa.array(of, from_pandas=True)
         elif array.ndim == 1:
             yield name, pa.array(array, from_pandas=True)
         else:

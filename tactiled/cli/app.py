@@ -93,7 +93,17 @@ def _interrupt(*_: object) -> None:
 
 def _leave(*_: object) -> None:
     _ignore_more()
+    sys.unraisablehook = _leave_after_all
     sys.exit()
+
+
+def _leave_after_all(dropped: "sys.UnraisableHookArgs") -> None:
+    """Leave, where Python dropped that exit: a signal may come in a callback of its memory management."""
+    if not issubclass(dropped.exc_type, SystemExit):
+        sys.__unraisablehook__(dropped)
+        return
+    signal.signal(signal.SIGALRM, _leave)
+    signal.setitimer(signal.ITIMER_REAL, 0.01)  # once that callback is over
 
 
 def _ignore_more() -> None:

@@ -30,7 +30,7 @@ from tactiled.frames import Message
 from tactiled.interop.bridges import configured
 from tactiled.live.events import Event as Happening
 from tactiled.live.service import Service
-from tactiled.simulate import SCENES, Player, play
+from tactiled.simulate import SCENES, Player, check_scene, play
 from tactiled.web.app import create
 from tactiled.web.server import need_address, serve
 
@@ -71,6 +71,7 @@ def demo(
     _: options.LogFormat = "console",
 ) -> None:
     """Simulate a covered array, or play a real recording, and serve it live; needs no hardware."""
+    check_scene(scene or "tour")
     config = demo_config(record, shear)
     with threadpool_limits(1), TemporaryDirectory(prefix="tactiled-demo-", ignore_cleanup_errors=True) as folder:
         server = _server(host, port, foxglove, folder)

@@ -42,7 +42,7 @@ from tactiled.client.stream import (
 )
 from tactiled.errors import ConfigError, LoadedError, TactileError
 from tactiled.files import whole_file
-from tactiled.wire import Kept
+from tactiled.wire import SHEARED, Kept
 
 __all__ = ["Cells", "Client", "Contact", "Contacts", "Event", "Image", "Recording", "Region", "Window", "connect"]
 ROOT = "/api/v1"
@@ -214,6 +214,8 @@ class Client:
     def window(self, sensor: str, seconds: float, kind: Kept = "restored", image: ImageCells = "raster") -> Window:
         """The images of the last `seconds` before the newest one, as many as the service still has."""
         _check_seconds("seconds", seconds, MAX_SECONDS)
+        if kind not in SHEARED:
+            raise ConfigError(f"kind = {kind!r}: give {', '.join(map(repr, SHEARED))}")
         query = {"kind": kind, "last": f"{seconds:.6f}s", "limit": str(MAX_ITEMS), "format": "npz"}
         query |= {"image": image} if parse_cells(image) == "taxels" else {}
         path, pages = f"{ROOT}/sensors/{_quoted(sensor)}/frames", list[Answer]()

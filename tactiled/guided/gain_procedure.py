@@ -59,6 +59,7 @@ class GainProcedure:
         self.way, self._sensor = way, sensor
         self.mark_key, self._unit = MARKS[way]
         self._marks: list[tuple[float, FrameSeries]] = []
+        self._on_zero = ""  # the load that the newest mark of 0 had by the present calibration, in words
 
     def mark(self, series: FrameSeries, value: float) -> None:
         """Take frames under a known load, the last one again; CalibrationStateError where they cannot be."""
@@ -76,6 +77,8 @@ class GainProcedure:
         if self._marks and self._marks[-1][0] == value:
             self._marks.pop()
         self._marks.append((value, series))
+        if not value:
+            self._on_zero = self._sensor.pipeline.load_during(np.asarray(series.counts, np.float32))
 
     def _require_steady(self, series: FrameSeries, begin: str) -> None:
         """CalibrationStateError where the readings move by more than noise and a share of the load."""
@@ -95,6 +98,9 @@ class GainProcedure:
         zones = zone_counts(np.empty((0, 2)), self._sensor.array)
         text = advice(count, zones, need) if count else f"take 0 {self._unit} first, with nothing on the array"
         line = f"{text} ({loads} {self._unit})" if loads else text
+        if self._on_zero:
+            instead = "unload the array and take 0 again"
+            line = f"0 {self._unit} was taken under a load ({self._on_zero}): if that is so, {instead}. {line}"
         return Quality(line, enough(count, zones, need), count, need.count)
 
     def fit(self, series: FrameSeries, process: FitProcess) -> GainOutcome:

@@ -200,7 +200,7 @@ class Pipeline:
         frames = self.tares.collect(frame)
         if frames is None:
             return
-        if load := "" if self.tares.force else self._load_during(frames[:, 0]):
+        if load := "" if self.tares.force else self.load_during(frames[:, 0]):
             self.tares.finish(load)
             return
         mean, zero = robust_mean(frames).astype(np.float32), self.zero
@@ -209,8 +209,8 @@ class Pipeline:
         self.set_zero(Zero(counts, shear, self.tares.time))
         self.tares.finish("")
 
-    def _load_during(self, counts: Floats32) -> str:
-        """A load in frames (T, N) of a tare, in words, or readings that move; "" for neither."""
+    def load_during(self, counts: Floats32) -> str:
+        """A load in some frames' counts (T, N), in words, or readings that move; "" for neither."""
         pressure, noise = self.calibrator.pressure(counts), self.noise.kpa
         if not self.noise.settled:
             noise = max(noise, estimate(pressure))

@@ -166,7 +166,7 @@ class Service:
                 kept = f"written to {path.name}" if path else "until the service ends: calibration.file is not set"
                 text = f"{', '.join(file.sections)}; {kept}"
             else:
-                text = f"without a file; {path.name} is removed" if path else "without a file"
+                text = "the values of the configuration hold" + (f"; {path.name} is removed" if path else "")
             self.events.add("calibration_applied", f"{plan.calibration_id}: {text}", name)
 
     def former_calibrations(self, name: str) -> dict[int, CalibrationFile | str | None]:

@@ -4,6 +4,8 @@ import threading
 import time
 from collections.abc import Callable, Hashable, Iterable
 
+import numpy as np
+
 from tactiled.calibrate.upkeep.health import RULES, Change, Fault
 from tactiled.contacts.regions import measure_units
 from tactiled.frames import FrameWarning
@@ -152,8 +154,9 @@ class Watch:
             limit = sensor.regions.regions[name].threshold if name in sensor.regions.regions else None
             if limit is not None:
                 unit = measure_units(sensor.plan.unit)[limit.quantity]
-                bound = f"above {limit.above:g} {unit}" if above else f"below {limit.below:g} {unit}"
-                text = f"region {name}: {limit.quantity} {value:.3g} is {bound}"
+                bound = limit.above if above else limit.below
+                side = "above" if above else "below"
+                text = f"region {name}: {limit.quantity} {_apart(value, bound)} is {side} {bound:g} {unit}"
                 self._events.add("region_above" if above else "region_below", text, sensor.name)
 
     def _look_at_taxels(self, sensor: Sensor) -> None:
@@ -185,3 +188,9 @@ def _by_fault(changes: Iterable[Change]) -> dict[Fault, str]:
 def _listed(taxels: list[int]) -> str:
     more = f" and {len(taxels) - MAX_TAXELS_NAMED} more" if len(taxels) > MAX_TAXELS_NAMED else ""
     return f"taxel{'s' * (len(taxels) > 1)} {', '.join(map(str, taxels[:MAX_TAXELS_NAMED]))}{more}"
+
+
+def _apart(value: float, bound: float) -> str:
+    """Three digits of a value, or as many as tell it from a bound."""
+    texts = (np.format_float_positional(value, digits, unique=False, fractional=False) for digits in range(3, 9))
+    return next((each.rstrip(".") for each in texts if float(each) != bound), f"{value}")

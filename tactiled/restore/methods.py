@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from functools import partial
+from math import isnan
 from typing import Any
 
 import numpy as np
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 from tactiled.arrays import Floats, Floats32
 from tactiled.errors import ConfigError
 from tactiled.restore import learned
-from tactiled.restore.auto import LOADS, Auto
+from tactiled.restore.auto import IDLE, LOADS, Auto
 from tactiled.restore.blur import Blur
 from tactiled.restore.deviation import deviation, learned_deviation, raw_deviation
 from tactiled.restore.inpaint import Inpainter
@@ -25,6 +26,7 @@ from tactiled.restore.wiener import Wiener
 RL_ITERATIONS = 30  # of Richardson-Lucy, at most
 BY_HAND = "selected by hand"
 NO_DATA = "no taxel has data, and nothing is known"
+IDLE_IN_PART = f"{IDLE} where taxels have data"
 NO_POINTS = "not a few point loads; used NNLS"
 NOT_TRAINED = "the network was not trained for this cover, or so many cells: restored by nnls"
 
@@ -59,6 +61,7 @@ class Restorer:
         y, scene, self._filled = np.ascontiguousarray(frame, np.float32), self._scene, False
         self._empty = False
         scene.measure_range(y)
+        has_gaps = isnan(scene.high)
         plausible = scene.high < IMPLAUSIBLE_KPA and scene.low > -IMPLAUSIBLE_KPA
         if not plausible or self._inpainter.weighs or (flags is not None and flags.any()):
             y = self._inpainter.mask(y, flags)
@@ -71,6 +74,8 @@ class Restorer:
                 scene.measure_range(y)
         scene.expired, scene.cut_short = expired, False
         done = self._own(self._method(y))
+        if done.why == IDLE and has_gaps:
+            done = done._replace(why=IDLE_IN_PART)
         return done._replace(cut_short=True) if scene.cut_short else done
 
     def _own(self, done: Restored) -> Restored:

@@ -71,6 +71,12 @@ def _sensed(surface: Surface, pressure: Floats) -> Floats:
     return np.full(surface.taxels, even) if (pressure == even).all() else surface.sense(pressure)
 
 
+def check_scene(scene: str) -> None:
+    """ConfigError for a scene that there is none of."""
+    if scene != "tour" and scene not in SCENES:
+        raise ConfigError(f"scene = {scene!r}: no such scene: choose tour or one of {', '.join(SCENES)}")
+
+
 def player(
     array: Array,
     kernel: Kernel,
@@ -80,8 +86,7 @@ def player(
     noise_kpa: float = 0.1,
 ) -> Player:
     """Make a player of one scene, or of a tour through them; ConfigError for an unknown scene."""
-    if scene != "tour" and scene not in SCENES:
-        raise ConfigError(f"scene = {scene!r}: no such scene: choose tour or one of {', '.join(SCENES)}")
+    check_scene(scene)
     taxels = Taxels(calibration, codec.full_scale, noise_kpa, seed=0)
     surface, feels = Surface(kernel, array), isinstance(codec, ShearCodec) and all(kernel.stack.bonds)
     felt = responses(kernel.stack, array, surface.cells, surface.grain) if feels else None

@@ -152,7 +152,8 @@ def test_a_template_may_number_messages_that_hold_unequal_counts_of_taxels():
     [
         (f'file = "nope.dbc", {TEMPLATE}', r"codec.file = '.*nope.dbc': No such file"),
         ('taxels = "Row{row}.T{row}_{col}"',
-         r"'Row\{row\}.T\{row\}_\{col\}': 'col': a template may hold \{taxel\}, \{row\}, \{column\}"),
+         r"'Row\{row\}.T\{row\}_\{col\}': 'col': a template may hold \{taxel\}, \{row\}, \{column\}, "
+         r"\{message\}, \{signal\}"),
         (f"{TEMPLATE}, first = 1", r"names 'Row1.T1_3': skin.dbc has no such signal: did you mean Row"),
         ('taxels = "Row{message}.T{message}_{column}", first = 1', "file has no Row2.T2_3: it has names for 2"),
         ('taxels = "Row{message}.T0_0"', "the file has no Row1.T0_0: it has names for 1 of 6 taxels"),

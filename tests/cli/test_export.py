@@ -21,7 +21,7 @@ from mcap.stream_reader import StreamReader
 from mcap_protobuf.decoder import DecoderFactory
 from pyarrow import parquet
 
-from tactiled.archive.arrays import METHOD_NAME, Hdf5Writer, NpzWriter
+from tactiled.archive.arrays import METHOD_NAME, Hdf5Writer, NpzWriter, attributes
 from tactiled.archive.zarr_group import ZarrWriter
 from tactiled.build import make_codec, sensor_plan
 from tactiled.bus import recording
@@ -150,9 +150,12 @@ def test_tables_have_a_row_a_frame_and_leave_out_what_is_not_known(tmp_path, con
     np.testing.assert_array_equal(times, (npz["time"] * 1e6).round().astype("M8[us]"))
     loss = {f"loss_{kind}": npz["loss"][:, n] for n, kind in enumerate(npz["loss_kind"])}
     heel = {f"heel_{each}": npz["regions"][:, 0, n] for n, each in enumerate(npz["measure"])}
+    assert "units" not in attributes("regions", about["provenance"])  # of CF, which has one unit a variable
     units = {"heel_force": "_N", "heel_area": "_mm2"} | dict.fromkeys(("heel_mean", "heel_peak", "noise"), "_kPa")
     for name, expected in ({each: npz[each] for each in ("sequence", "method", "noise")} | loss | heel).items():
-        assert table[name].to_pylist() == [None if each != each else each for each in expected.tolist()]
+        assert table[name + units.get(name, "")].to_pylist() == [
+            None if each != each else each for each in expected.tolist()
+        ]
         text = [each[name + units.get(name, "")] for each in lines]
         if name in units:
             np.testing.assert_allclose([float(each or "nan") for each in text], expected, rtol=1e-5)

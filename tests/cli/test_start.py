@@ -17,6 +17,19 @@ from tactiled.config import load
 from tactiled.config.example import EXAMPLE
 from tests.cli.commands import succeed
 
+DROPPED = """
+import gc, os, signal, time, weakref
+from tactiled.cli import app
+class Dropped: pass
+def callback(_):
+    os.kill(os.getpid(), signal.SIGTERM)
+    time.sleep(0.1)  # whatever it raises meanwhile is dropped
+signal.signal(signal.SIGTERM, app._leave)
+one = Dropped()
+reference = weakref.ref(one, callback)
+del one
+time.sleep(60)
+"""
 HEAVY = ("fastapi", "starlette", "uvicorn", "tactiled.web", "matplotlib", "skimage", "tactiled.bench")
 EACH_IN_TURN = """
 import sys
@@ -128,3 +141,7 @@ def test_shells_complete_verbs_and_their_options(words, completions):
     variables = {"COMP_WORDS": " ".join(words), "COMP_CWORD": str(len(words) - 1)}
     program = "import sys; sys.argv[0] = 'tactiled'; from tactiled.cli import main; main()"
     assert python(program, **variables, _TACTILED_COMPLETE="complete_bash").split() == completions
+
+
+def test_a_signal_that_comes_where_python_drops_exceptions_ends_a_start():
+    subprocess.run([sys.executable, "-c", DROPPED], check=True, timeout=30)

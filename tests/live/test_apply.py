@@ -74,7 +74,7 @@ def test_without_a_configured_file_it_lasts_until_the_service_ends(make):
     service.apply_calibration("palm", lines(0.5))
     assert service.former_calibrations("palm") == {1: file, 0: None}
     service.apply_calibration("palm", None)
-    assert kinds(service)[-1] == ("calibration_applied", "configured: without a file")
+    assert kinds(service)[-1] == ("calibration_applied", "configured: the values of the configuration hold")
     assert (restored(service, 1).calibration, [*service.former_calibrations("palm")]) == ("configured", [1, 2])
     assert restored(make(file=None)).calibration == "configured"
 

@@ -115,6 +115,8 @@ def test_what_lost_messages_leave_unknown_is_no_zero(make, method):
     np.testing.assert_array_equal(np.isnan(pipeline.deviation(image)), np.isnan(image.restored))
     assert np.isnan(RegionMeter(None, pipeline._plan.cells)(image)).all()
     assert not np.isnan(RegionMeter(FREE, pipeline._plan.cells)(image)).any()
+    if method == "auto":
+        assert (image.method, image.why) == ("idle", "no contact above the noise where taxels have data")
 
 
 def test_a_frame_without_data_says_so_and_is_neither_noise_nor_zero(make):
