@@ -32,7 +32,7 @@ const MAX_STATUSES = 128; // more than ten seconds at ten a second
 const STATUS_WITHIN_S = 1; // of the frame that it is shown with
 const MAX_CONTACTS = 256; // messages: more than ten seconds at twenty a second
 const CONTACTS_WITHIN_S = 0.25; // of a live frame,
-const LOOK_S = 0.05; // and of one that stands still: from one of the service's looks for contacts to the next
+const HALF_LOOK_S = 0.03; // and of one that stands still: from a frame to the next of the service's looks, 20 a second
 const PAUSED_WITHIN_S = 0.15; // of the newest frame: what a pause shows for the sake of contacts
 const MAX_GAP_S = 60; // between two frames of one run
 
@@ -131,7 +131,7 @@ export class Session {
   pause(to) {
     if (to && !this.paused) this.back = this._withContacts();
     this.paused = this._settles = to;
-    this.contacts.setWithin(to ? LOOK_S : CONTACTS_WITHIN_S);
+    this.contacts.setWithin(to ? HALF_LOOK_S : CONTACTS_WITHIN_S);
     this.freshness.release(); // while paused every frame that is kept may be
     if (to) return;
     this.back = 0;
