@@ -12,14 +12,9 @@ from numpy.typing import NDArray
 from tactiled.archive.arrays import LOSS_KINDS, loads
 from tactiled.archive.writers import Writer
 from tactiled.build import SensorPlan
-from tactiled.contacts.regions import Measures, measure_units
+from tactiled.contacts.regions import Measures, headings
 from tactiled.frames import SensorImage
-from tactiled.units import PRESSURE, SHEAR, Unit
-
-
-def headings(unit: Unit) -> list[str]:
-    """Measures of a region, of an image in a unit, as headings."""
-    return [f"{name}_{each.replace(' ', '_')}" for name, each in measure_units(unit).items()]
+from tactiled.units import PRESSURE, SHEAR
 
 
 def values(numbers: Iterable[float]) -> list[str]:

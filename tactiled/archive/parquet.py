@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 from pyarrow import parquet
 
 from tactiled.archive import arrays
-from tactiled.archive.csv_table import headings
 from tactiled.archive.writers import Writer
 from tactiled.build import SensorPlan
-from tactiled.contacts.regions import Measures
+from tactiled.contacts.regions import Measures, headings
 from tactiled.frames import SensorImage
 
 

@@ -92,6 +92,11 @@ def measure_units(unit: Unit) -> dict[str, str]:
     return dict(zip(Measures._fields, (FORCE_UNITS[unit], unit, unit, "mm2"), strict=True))
 
 
+def headings(unit: Unit) -> list[str]:
+    """Measures of a region, of an image in a unit, as headings."""
+    return [f"{name}_{each.replace(' ', '_')}" for name, each in measure_units(unit).items()]
+
+
 class RegionMeter:
     """Measures a region (None: the whole array) in restored images; ValueError where no cell lies in it."""
 

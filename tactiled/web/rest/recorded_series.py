@@ -8,7 +8,7 @@ from pydantic import BaseModel, Field
 from starlette.responses import Response, StreamingResponse
 
 from tactiled.archive import csv_table
-from tactiled.contacts.regions import TOTAL, Measures, Region
+from tactiled.contacts.regions import TOTAL, Measures, Region, headings
 from tactiled.live.sensor import Sensor
 from tactiled.recorded.frames import RecordedFrames
 from tactiled.recorded.playback import Playback
@@ -140,9 +140,9 @@ def _area(name: str, k: int, summary: Summary) -> AreaSeries:
 def _csv(job: SeriesJob, rows: SeriesRows) -> Iterator[str]:
     """One line a frame; empty: not known."""
     with closing(rows.file):
-        areas, headings = (TOTAL, *job.regions), csv_table.headings(job.plan.unit)
+        areas, names = (TOTAL, *job.regions), headings(job.plan.unit)
         yield csv_lines(
-            [["frame", "position_s", *(f"{area}_{each}" for area in areas for each in headings), MISSING_TAXELS]]
+            [["frame", "position_s", *(f"{area}_{each}" for area in areas for each in names), MISSING_TAXELS]]
         )
         for first in range(0, rows.frames, ROWS_AT_ONCE):
             some = rows.read(first, rows.frames)

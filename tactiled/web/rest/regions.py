@@ -12,7 +12,7 @@ from pydantic import Field
 from tactiled import units
 from tactiled.archive import csv_table
 from tactiled.bounds import Syntax
-from tactiled.contacts.regions import Measures, Region
+from tactiled.contacts.regions import Measures, Region, headings
 from tactiled.live import region_monitor
 from tactiled.live.region_monitor import SERIES_S, RegionSeries
 from tactiled.live.sensor import Sensor
@@ -147,7 +147,7 @@ def series(
 def _csv(series: region_monitor.Series) -> str:
     """One line an image; empty: not known."""
     rows = ([f"{at:.6f}", *csv_table.values(row), missing] for at, row, missing in zip(*series[:3], strict=True))
-    return csv_lines([["time_s", *csv_table.headings(series.unit), MISSING_TAXELS], *rows])
+    return csv_lines([["time_s", *headings(series.unit), MISSING_TAXELS], *rows])
 
 
 def csv_lines(rows: Iterable[list[Any]]) -> str:
