@@ -71,11 +71,11 @@ def demo(
     _: options.LogFormat = "console",
 ) -> None:
     """Simulate a covered array, or play a real recording, and serve it live; needs no hardware."""
-    check_scene(scene or "tour")
     config = demo_config(record, shear)
     with threadpool_limits(1), TemporaryDirectory(prefix="tactiled-demo-", ignore_cleanup_errors=True) as folder:
         server = _server(host, port, foxglove, folder)
         need_address(server)
+        check_scene(scene or "tour")
         service = Service(config, report=logs.progress)
         source = _source(record, service, scene, rate_hz, Path(folder))
         logs.announce(f"recordings go to {folder}, which is removed at the end")

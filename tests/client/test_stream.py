@@ -189,7 +189,9 @@ def test_a_loop_that_pauses_a_minute_keeps_its_connection(url, monkeypatch, capl
 @pytest.mark.parametrize("path", [ROOT / "README.md", GUIDE], ids=["readme", "guide"])
 @pytest.mark.usefixtures("playing")
 def test_examples_of_readme_and_guide(url, capsys, path):
-    lines = re.search(r"```python\nimport tactiled\n.*?```", path.read_text(), re.S)[0].splitlines()[1:-1]
+    lines = re.search(r"```python\nimport numpy as np\n\nimport tactiled\n.*?```", path.read_text(), re.S)[
+        0
+    ].splitlines()[1:-1]
     exec("\n".join(lines).replace("http://127.0.0.1:8000", url) + "\n    break\n")
     assert re.fullmatch(r"\d+ [\d.]+ kPa\n", capsys.readouterr().out)
 
