@@ -54,7 +54,10 @@ export function picture({ name, plane }, frame, { maps, view, range, shear }, co
   const bodyHeight = Math.max(h, MIN_LEGEND_PX);
   const step = AXIS_LEFT_PX + column + MARGIN_PX; // from one map to the next
   const width = Math.max(shown.length * step + LEGEND_PX, widest([title], TITLE_PX), MIN_TEXT_PX);
-  const said = origin.slice(2).map(([what, value]) => (what === "time" || what === "state" ? value : `${what} ${value}`));
+  const said = origin.slice(2).map(([what, value]) => {
+    if (what === "time" || what === "state") return value;
+    return what.startsWith("warnings") ? `${what}: ${value}` : `${what} ${value}`;
+  });
   const lines = wrap([...said, size].join(", "), width, TEXT_PX);
   const arrows = [maps.arrows, maps.restoredArrows].filter(({ canvas, empty }) =>
     shear && !empty && shown.some(({ frames }) => frames.some((each) => each.contains(canvas))));
