@@ -88,22 +88,27 @@ def _stop_signals() -> list[signal.Signals]:
 
 def _interrupt(*_: object) -> None:
     _ignore_more()
+    _insist_on(_interrupt)
     raise KeyboardInterrupt
 
 
 def _leave(*_: object) -> None:
     _ignore_more()
-    sys.unraisablehook = _leave_after_all
+    _insist_on(_leave)
     sys.exit()
 
 
-def _leave_after_all(dropped: "sys.UnraisableHookArgs") -> None:
-    """Leave, where Python dropped that exit: a signal may come in a callback of its memory management."""
-    if not issubclass(dropped.exc_type, SystemExit):
-        sys.__unraisablehook__(dropped)
-        return
-    signal.signal(signal.SIGALRM, _leave)
-    signal.setitimer(signal.ITIMER_REAL, 0.01)  # once that callback is over
+def _insist_on(handler: Callable[..., object]) -> None:
+    """Call a handler again if Python drops what it raises: signals may come in callbacks of memory management."""
+
+    def dropped(unraisable: "sys.UnraisableHookArgs") -> None:
+        if not issubclass(unraisable.exc_type, SystemExit | KeyboardInterrupt):
+            sys.__unraisablehook__(unraisable)
+            return
+        signal.signal(signal.SIGALRM, handler)
+        signal.setitimer(signal.ITIMER_REAL, 0.01)  # once that callback is over
+
+    sys.unraisablehook = dropped
 
 
 def _ignore_more() -> None:

@@ -68,8 +68,7 @@ def findings_of(config: Path) -> list[Finding]:
         if (meant := load_as_meant(config)) is None:
             raise
         other, replaced = meant
-        findings = config_findings(other)  # but of what the file does not have
-        _print([each for each in findings if not any(place.startswith(each.place) for place in replaced)])
+        _print([each for each in config_findings(other) if not each.rests_on(replaced)])
         faults = [f"{config}: {each}" for each in (*faults_between_sections(other), *refused_codecs(other))]
         raise ConfigError("\n".join(dict.fromkeys([*str(error).splitlines(), *faults]))) from error
     return unedited(config.read_text("utf-8")) + config_findings(settings)

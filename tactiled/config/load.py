@@ -61,8 +61,7 @@ def load_as_meant(path: Path) -> tuple[Config, tuple[str, ...]] | None:
             *tables, key = fault["loc"]
             table: Any = functools.reduce(_in_table, tables, data)
             table[key] = fault["ctx"]["meant"]
-        replaced = (".".join(str(part) for part in fault["loc"] if part != 0) for fault in faults)
-        return Config.model_validate(data, context=context), tuple(replaced)
+        return Config.model_validate(data, context=context), tuple(_place(fault["loc"]) for fault in faults)
     except (ValidationError, LookupError, TypeError):
         return None
 

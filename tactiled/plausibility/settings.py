@@ -5,7 +5,7 @@ a table of real skins and one of slips.
 """
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 
@@ -54,6 +54,11 @@ class Finding:
     value: str  # as configured; "" where it is not one value
     reason: str  # why it cannot be, and the likely slip
     hint: bool = False
+
+    def rests_on(self, places: Iterable[str]) -> bool:
+        """Whether its value is that of one of some dotted keys, or of several keys with one; `[0]` may lack."""
+        own, *others = (each.replace("[0]", "") for each in (self.place, *places))
+        return any(each == own or each.startswith((f"{own}.", f"{own}[")) for each in others)
 
     def __str__(self) -> str:
         """One line."""

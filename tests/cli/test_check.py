@@ -53,6 +53,12 @@ def test_only_values_of_the_file_are_called_doubtful(palm):
     done = run("check", path)
     assert done.stdout == ""
     assert "thickness_mm = 2000: give " in str(done.exception)
+    layers = "[[sensor.palm.cover]]\nthickness_mm = 0.5\nyoung_mpa = 0.6\n[[sensor.palm.cover]]\n"
+    path = palm("[sensor.palm.cover]\n", layers)
+    path.write_text(path.read_text().replace("young_mpa = 0.6\npoisson", "young_mpa = 6e-7\npoisson"))
+    done = run("check", path)
+    assert done.stdout == ""
+    assert "cover[1].young_mpa = 6e-07: give " in str(done.exception)
 
 
 def test_a_wrong_codec_or_bus_hides_nothing_that_is_doubtful(palm):

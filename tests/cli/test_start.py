@@ -18,13 +18,13 @@ from tactiled.config.example import EXAMPLE
 from tests.cli.commands import succeed
 
 DROPPED = """
-import gc, os, signal, time, weakref
+import os, signal, sys, time, weakref
 from tactiled.cli import app
 class Dropped: pass
 def callback(_):
     os.kill(os.getpid(), signal.SIGTERM)
     time.sleep(0.1)  # whatever it raises meanwhile is dropped
-signal.signal(signal.SIGTERM, app._leave)
+signal.signal(signal.SIGTERM, getattr(app, sys.argv[1]))
 one = Dropped()
 reference = weakref.ref(one, callback)
 del one
@@ -143,5 +143,7 @@ def test_shells_complete_verbs_and_their_options(words, completions):
     assert python(program, **variables, _TACTILED_COMPLETE="complete_bash").split() == completions
 
 
-def test_a_signal_that_comes_where_python_drops_exceptions_ends_a_start():
-    subprocess.run([sys.executable, "-c", DROPPED], check=True, timeout=30)
+@pytest.mark.parametrize(("handler", "code"), [("_leave", 0), ("_interrupt", -signal.SIGINT)])
+def test_a_signal_that_comes_where_python_drops_exceptions_ends_a_command(handler, code):
+    done = subprocess.run([sys.executable, "-c", DROPPED, handler], timeout=30, capture_output=True)
+    assert done.returncode == code
