@@ -99,7 +99,8 @@ class FrameChecks:
         completed, zeroed = raw, raw
         if sound is not None:
             completed, zeroed = np.where(sound, raw, predicted), np.where(sound, raw, np.float32(0))
-        offset = self._even_offset(image, noise)
+        peak = readings.look(_flat(image))[1]
+        offset = self._even_offset(image, peak, noise)
         tests: dict[WarningCode, bool] = {
             "negative": self._negative(seen, zeroed, sound, noise),
             "offset": offset,
@@ -119,7 +120,7 @@ class FrameChecks:
                 codes.append("outliers")
             if not offset and self._moved_offset(seen, completed, noise):
                 codes.append("offset")
-        if self._grid and self._over_the_edge(image):
+        if self._grid and peak > EDGE_RATIO * float(image[1:-1, 1:-1].max()):
             codes.append("edge")
         return tuple(codes)
 
@@ -131,13 +132,12 @@ class FrameChecks:
         lowest = float((self._parts.sums(zeroed) / np.sqrt(np.maximum(count, 1))).min())
         return lowest < noise * _lowest_sigmas(count.size)
 
-    def _even_offset(self, image: Floats32, noise: float) -> bool:
+    def _even_offset(self, image: Floats32, peak: float, noise: float) -> bool:
         """Whether every part of the image is pressed, and a quarter of the parts alike."""
         counts = self._cells.counts
         means = sorted((self._cells.sums(image)[counts > 0] / counts[counts > 0]).tolist())
         lowest, quarter = means[0], means[(len(means) - 1) // 4]
         certain = -_lowest_sigmas(1) * noise / sqrt(self._fewest)
-        peak = readings.look(_flat(image))[1]
         return bool(lowest > max(certain, MIN_OFFSET * peak) and quarter < EVEN_RATIO * lowest)
 
     def _moved_offset(self, seen: "Comparison", completed: Floats32, noise: float) -> bool:
@@ -160,10 +160,6 @@ class FrameChecks:
             return False
         weakest = self._to_modes(completed, self._to_modes.empty()).reshape(-1)[self._weak]
         return float(np.dot(weakest, weakest)) < (noise / NOISE_RATIO) ** 2 * weakest.size
-
-    def _over_the_edge(self, image: Floats32) -> bool:
-        inside = float(image[1:-1, 1:-1].max())
-        return readings.look(_flat(image))[1] > EDGE_RATIO * inside
 
 
 class Comparison(NamedTuple):

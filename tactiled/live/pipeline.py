@@ -33,8 +33,8 @@ class Pipeline:
     """Turns the raw frames of one array into images, one after the other, on one thread.
 
     `set_method`, `tare` and `lapse_tare` may be called from any thread and take effect with the next frame;
-    `load_description`, `deviation`, `surface` and `forces` may be called from any thread, too; the rest between
-    two frames.
+    `load_description`, `load_during`, `deviation`, `surface` and `forces` may be called from any thread, too; the
+    rest between two frames.
     """
 
     def __init__(self, plan: SensorPlan, before: "Pipeline | None" = None, start: Start = call) -> None:

@@ -191,6 +191,7 @@ def _listed(taxels: list[int]) -> str:
 
 
 def _apart(value: float, bound: float) -> str:
-    """Three digits of a value, or as many as tell it from a bound."""
-    texts = (np.format_float_positional(value, digits, unique=False, fractional=False) for digits in range(3, 9))
+    """Three digits of a value, all before the point, or as many as tell it from a bound."""
+    least = max(3, len(f"{abs(value):.0f}"))
+    texts = (np.format_float_positional(value, n, unique=False, fractional=False) for n in range(least, least + 6))
     return next((each.rstrip(".") for each in texts if float(each) != bound), f"{value}")

@@ -43,13 +43,13 @@ class Wiener:
     def __init__(self, scene: Scene) -> None:
         modes = scene.modes
         self._scene = scene
-        arrays = scene.ones, scene.reach, modes.gain, modes.frequency, scene.gain_variance
+        arrays = modes.gain, modes.frequency, scene.gain_variance
         self._filters: Kept[Filter] = kept("filter", *arrays, np.array(scene.blur.surface_shape))
         self._band = NarrowBand(modes, scene.gain_variance)
         synthesise = modes.head_to_surface()
         self._image = synthesise.empty()
         self._fixed = self._band.of_modes, self._band.shared, scene.reach, synthesise.left, synthesise.right
-        self.weight = np.empty_like(scene.c)  # of each mode in the image, in units of the noise
+        self._weight = np.empty_like(scene.c)  # of each mode in the image, in units of the noise
         self.noise_gain = 0.0
         # Of the image: sum and sum of squares of what is above 0, sum of squares of what is below, the highest.
         self.sums: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0)
@@ -62,7 +62,7 @@ class Wiener:
         """Give the surface pressure, total force kept; may be negative."""
         scene, image, of_spectrum = self._scene, self._image, self.filter().of_spectrum
         squares, force, *sums = coefficients.filtered(
-            scene.c, scene.noise**2, of_spectrum, *self._fixed, self.weight, image
+            scene.c, scene.noise**2, of_spectrum, *self._fixed, self._weight, image
         )
         self.noise_gain = sqrt(squares / image.size)
         scale = scene.force_scale(scene.force - force)

@@ -167,7 +167,7 @@ def _name(template: str, numbers: dict[str, int]) -> str:
     try:
         return template.format(**numbers)
     except (KeyError, IndexError, ValueError, AttributeError) as error:
-        keys = ", ".join(f"{{{each}}}" for each in {**numbers, "message": 0, "signal": 0})
+        keys = ", ".join(f"{{{each}}}" for each in dict.fromkeys((*numbers, "message", "signal")))
         raise ConfigError(f"codec.taxels = {template!r}: {error}: a template may hold {keys}") from error
 
 
