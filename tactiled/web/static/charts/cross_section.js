@@ -1,8 +1,7 @@
 /** The cross-section: pressure along a line, raw and restored. @module */
 
 import { Chart, line } from "./chart.js";
-import { fixed } from "../shell/format.js";
-import { UNITS } from "../shell/units.js";
+import { UNITS, lengthText } from "../shell/units.js";
 import { ACROSS } from "../maps/geometry.js";
 
 /** @import { Axes, Line } from "./chart.js" */
@@ -77,7 +76,7 @@ export class CrossSection {
     this._deep = goesBelow(this._raw, floor) || goesBelow(this._restored, floor) ? DEEP_FRAMES : Math.max(0, this._deep - 1);
     this._axes.bottom = range.low - (this._deep ? DEEP_MARGIN : MARGIN) * span;
     const probe = along === "x" ? marks.probeX : marks.probeY;
-    this.chart.draw(this._axes, this._lines, probe, Number.isFinite(probe) ? `${along} ${fixed(probe, 1)} mm` : "");
+    this.chart.draw(this._axes, this._lines, probe, Number.isFinite(probe) ? `${along} ${lengthText(probe)}` : "");
   }
 
   /**

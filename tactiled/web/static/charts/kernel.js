@@ -2,7 +2,8 @@
 
 import { Chart, line } from "./chart.js";
 import { byId, setText } from "../shell/dom.js";
-import { fixed, number } from "../shell/format.js";
+import { number } from "../shell/format.js";
+import { lengthText } from "../shell/units.js";
 
 /** @import { Kernel } from "../wire/api.js" */
 
@@ -37,7 +38,7 @@ export class KernelPanel {
       this._line.y[i] = gain > 0 ? Math.log10(gain) : DECADES - 1;
     }
     setText(nyquist, `${gainText(kernel.nyquist_gain)} at ${number(kernel.nyquist_per_mm)} mm⁻¹`);
-    setText(gap, kernel.smallest_gap_mm === null ? "none at this noise" : `${fixed(kernel.smallest_gap_mm, 2)} mm`);
+    setText(gap, kernel.smallest_gap_mm === null ? "none at this noise" : lengthText(kernel.smallest_gap_mm));
     setText(model, `${kernel.model}, ±${gainText(kernel.error_estimate)} of the gain`);
     this.draw();
   }

@@ -2,11 +2,10 @@
 
 import { ABOVE, BELOW } from "../maps/colormap.js";
 import { context2d, themeColors } from "../shell/dom.js";
-import { fixed } from "../shell/format.js";
 import { hatching } from "../maps/heatmap.js";
 import { AXIS_BOTTOM_PX, AXIS_LEFT_PX, drawAxes } from "../maps/map_axes.js";
 import { endsAndTicks, tickText } from "../charts/ticks.js";
-import { UNITS, forceText, lengthText, pressureText } from "../shell/units.js";
+import { UNITS, forceText, lengthNumber, lengthText, pressureText } from "../shell/units.js";
 
 /** @import { Colormap } from "../maps/colormap.js" */
 /** @import { DisplayRange } from "../maps/display_range.js" */
@@ -46,7 +45,7 @@ export function picture({ name, plane }, frame, { maps, view, range, shear }, co
   const w = Math.round(plane.width * zoom);
   const h = Math.round(plane.height * zoom);
   const title = `${name}, frame ${frame.sequence}`;
-  const size = `map ${fixed(plane.width, 1)} × ${lengthText(plane.height)}, resolution ${lengthText(frame.resolutionMm, 2)}`;
+  const size = `map ${lengthNumber(plane.width)} × ${lengthText(plane.height)}, resolution ${lengthText(frame.resolutionMm)}`;
   const signed = view.name === "difference" ? view.signed : null;
   const shown = shownMaps(frame, maps, view.name);
   const below = shown.map(({ of, right }) => (of ? summaryLines(of, frame.unit, right) : [maps.extremes(plane, frame.unit)]));
@@ -84,7 +83,7 @@ function shownMaps(frame, maps, view) {
 
 /** @param {Measures} of an image @param {number} unit of its pressure @param {string} [name] of the image, where its map shows another, too @returns {string[]} what stands below its map, line by line */
 function summaryLines(of, unit, name) {
-  const centre = `centre ${fixed(of.x, 1)}, ${lengthText(of.y)}`;
+  const centre = `centre ${lengthNumber(of.x)}, ${lengthText(of.y)}`;
   return [`${name ? `${name}: ` : ""}force ${forceText(of.force, unit)}   peak ${pressureText(of.peak, unit)}`, centre];
 }
 

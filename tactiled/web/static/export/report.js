@@ -1,8 +1,8 @@
 /** What is seen of one image as a page of its own: maps, values, contacts, regions and charts. @module */
 
-import { fixed, number } from "../shell/format.js";
+import { number } from "../shell/format.js";
 import { measureRegion } from "../maps/region_measure.js";
-import { FORCE_UNITS, UNITS, forceNumber } from "../shell/units.js";
+import { FORCE_UNITS, UNITS, forceNumber, lengthNumber } from "../shell/units.js";
 
 /** @import { Frame, ForceTrace } from "../wire/frame_history.js" */
 /** @import { Plane } from "../maps/geometry.js" */
@@ -49,14 +49,14 @@ export function reportHtml({ title, frame, plane, origin, pictures, contacts, re
     ["", "raw", "restored"],
     [`force${force}`, forceNumber(ofRaw.force, unit), forceNumber(ofRestored.force, unit)],
     [`peak${pressure}`, number(ofRaw.peak), number(ofRestored.peak)],
-    ["peak at x, mm", fixed(ofRaw.peakX, 1), fixed(ofRestored.peakX, 1)],
-    ["peak at y, mm", fixed(ofRaw.peakY, 1), fixed(ofRestored.peakY, 1)],
+    ["peak at x, mm", lengthNumber(ofRaw.peakX), lengthNumber(ofRestored.peakX)],
+    ["peak at y, mm", lengthNumber(ofRaw.peakY), lengthNumber(ofRestored.peakY)],
     ["area, mm²", area(frame.raw, 1, plane.raw), area(frame.restored, frame.noiseGain, plane.restored)],
-    ["centre x, mm", fixed(ofRaw.x, 1), fixed(ofRestored.x, 1)],
-    ["centre y, mm", fixed(ofRaw.y, 1), fixed(ofRestored.y, 1)],
+    ["centre x, mm", lengthNumber(ofRaw.x), lengthNumber(ofRestored.x)],
+    ["centre y, mm", lengthNumber(ofRaw.y), lengthNumber(ofRestored.y)],
   ];
   const found = (contacts ?? []).map((each) => [
-    `contact ${each.id}`, forceNumber(each.force, unit), number(each.peak), number(each.area_mm2), fixed(each.x_mm, 1), fixed(each.y_mm, 1),
+    `contact ${each.id}`, forceNumber(each.force, unit), number(each.peak), number(each.area_mm2), lengthNumber(each.x_mm), lengthNumber(each.y_mm),
   ]);
   const measured = regions.map(([name, of]) => [
     name, ...(of ? [forceNumber(of.force, unit), number(of.mean), number(of.peak), number(of.area)] : ["–", "–", "–", "–"]),

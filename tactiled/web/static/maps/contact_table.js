@@ -1,8 +1,8 @@
 /** The contacts as a table: what the outlines on the maps say, in numbers. @module */
 
 import { element, setText } from "../shell/dom.js";
-import { fixed, number } from "../shell/format.js";
-import { forceNumber, forceSpread } from "../shell/units.js";
+import { number } from "../shell/format.js";
+import { forceNumber, forceSpread, lengthNumber } from "../shell/units.js";
 
 /** @import { Contact } from "../wire/sensor_stream.js" */
 
@@ -77,6 +77,6 @@ function fillRow(cells, contact, unit, charted) {
   setText(cells[1], (contact.cut_off ? "≥ " : "") + forceNumber(contact.force, unit) + spread);
   setText(cells[2], number(contact.peak));
   setText(cells[3], number(contact.area_mm2));
-  setText(cells[4], fixed(contact.x_mm, 1));
-  setText(cells[5], fixed(contact.y_mm, 1));
+  setText(cells[4], lengthNumber(contact.x_mm));
+  setText(cells[5], lengthNumber(contact.y_mm));
 }

@@ -5,14 +5,14 @@ import { CentrePath } from "./centre_path.js";
 import { Colorbar } from "./colorbar.js";
 import { byId, setText } from "../shell/dom.js";
 import { DisplayRange } from "./display_range.js";
-import { fixed, number } from "../shell/format.js";
+import { number } from "../shell/format.js";
 import { Heatmap } from "./heatmap.js";
 import { AXIS_BOTTOM_PX, AXIS_LEFT_PX, MapAxes } from "./map_axes.js";
 import { Overlay } from "./overlay.js";
 import { Projection } from "./projection.js";
 import { ON_COVER, SENSED, ShearArrows } from "./shear_arrows.js";
 import { Surface } from "./surface.js";
-import { UNITS } from "../shell/units.js";
+import { UNITS, lengthNumber } from "../shell/units.js";
 
 /** @import { Colormap } from "./colormap.js" */
 /** @import { Frame, FrameHistory } from "../wire/frame_history.js" */
@@ -149,7 +149,7 @@ export class Maps {
   extremes({ restored: { x, y } }, unit) {
     const [lowest, highest] = extremes(this._differences);
     const [low, high] = [lowest, highest].map((i) => (i < 0 ? 0 : this._differences[i]));
-    const place = highest < 0 ? "" : ` at x ${fixed(x[highest], 1)}, y ${fixed(y[highest], 1)} mm`;
+    const place = highest < 0 ? "" : ` at x ${lengthNumber(x[highest])}, y ${lengthNumber(y[highest])} mm`;
     return `${signedText(low)} to ${signedText(high)} ${UNITS[unit]}${place}`;
   }
 

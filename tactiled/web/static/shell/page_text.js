@@ -9,7 +9,7 @@ import { CONNECTING } from "./health.js";
 import { PlaybackSession } from "../playback/playback_session.js";
 import { Readings } from "./readings.js";
 import { timeOffset } from "./timeline.js";
-import { FORCE_UNITS, UNITS, lengthText, pressureText, shearText } from "./units.js";
+import { FORCE_UNITS, UNITS, lengthNumber, lengthText, pressureText, shearText } from "./units.js";
 import { BAD, BELOW_ZERO, DEAD, FAULTY, MISSING, OUT_OF_RANGE, SATURATED, SHEAR } from "../wire/wire.js";
 
 /** @import { DisplayRange } from "../maps/display_range.js" */
@@ -203,7 +203,7 @@ function probeText({ session, probe: { x, y }, view }, frame) {
 function reading(plane, frame, x, y, compared) {
   const r = plane.find(plane.raw, x, y);
   const s = plane.find(plane.restored, x, y);
-  const place = `x ${fixed(x, 1)}, y ${lengthText(y)}`;
+  const place = `x ${lengthNumber(x)}, y ${lengthText(y)}`;
   if (r < 0 || s < 0) return `${place}: no taxel here`;
   const raw = Number.isNaN(frame.raw[r]) ? "unknown" : pressureText(frame.raw[r], frame.unit);
   const off = frame.restored[s] - frame.raw[r];

@@ -3,7 +3,7 @@
 import { byId, element, setText } from "./dom.js";
 import { fixed, number } from "./format.js";
 import { measures } from "../maps/measures.js";
-import { FORCE_UNITS, forceNumber, forceText, lengthText, pressureText } from "./units.js";
+import { FORCE_UNITS, forceNumber, forceText, lengthNumber, lengthText, pressureText } from "./units.js";
 import { Alerts } from "./warnings.js";
 
 /** @import { Loss, Sensor } from "../wire/api.js" */
@@ -109,7 +109,7 @@ export class Readings {
     }
     setText(at.iterations, frame ? String(frame.iterations) : "\u2013");
     setText(at.microseconds, frame ? time(frame.microseconds) : "\u2013");
-    setText(at.resolution, frame && frame.method !== "idle" ? lengthText(frame.resolutionMm, 2) : "\u2013");
+    setText(at.resolution, frame && frame.method !== "idle" ? lengthText(frame.resolutionMm) : "\u2013");
     setText(at.noise, frame ? pressureText(frame.noise, unit, 2) : "\u2013");
     setText(at["noise-gain"], frame ? `× ${number(frame.noiseGain)}` : "\u2013");
     setText(at.sequence, frame ? String(frame.sequence) : "\u2013");
@@ -181,9 +181,9 @@ const idleForce = (force, unit) => fixed(force, unit ? 0 : 2);
 function showMeasures(at, of, unit, idle) {
   setText(at.force, idle ? idleForce(of.force, unit) : forceNumber(of.force, unit));
   setText(at.peak, number(of.peak));
-  setText(at.at, Number.isNaN(of.peakX) ? "\u2013" : `${fixed(of.peakX, 1)}, ${fixed(of.peakY, 1)}`);
-  setText(at.x, fixed(of.x, 1));
-  setText(at.y, fixed(of.y, 1));
+  setText(at.at, Number.isNaN(of.peakX) ? "\u2013" : `${lengthNumber(of.peakX)}, ${lengthNumber(of.peakY)}`);
+  setText(at.x, lengthNumber(of.x));
+  setText(at.y, lengthNumber(of.y));
 }
 
 /** @param {number} microseconds NaN where it is not known @returns {string} */

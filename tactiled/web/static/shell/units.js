@@ -20,8 +20,11 @@ export const unitOf = (name) => Math.max(0, UNITS.indexOf(name));
 /** @param {number} value @param {number} unit @param {number} digits significant ones @returns {string} */
 export const pressureText = (value, unit, digits = 3) => `${number(value, digits)} ${UNITS[unit]}`;
 
-/** @param {number} value mm @param {number} decimals @returns {string} */
-export const lengthText = (value, decimals = 1) => `${fixed(value, decimals)} mm`;
+/** @param {number} value mm @returns {string} with three significant digits, two decimals at most; without its unit */
+export const lengthNumber = (value) => (Math.abs(value) < 1 ? fixed(value, 2) : number(value));
+
+/** @param {number} value mm @returns {string} */
+export const lengthText = (value) => `${lengthNumber(value)} mm`;
 
 /** @param {number} value @param {number} unit of pressure @returns {string} without its unit */
 export const forceNumber = (value, unit) => (unit ? whole(value) : newtons(value));
