@@ -8,11 +8,23 @@ from typing import Annotated, Any, cast
 
 from pydantic import AfterValidator, Field, GetCoreSchemaHandler, GetJsonSchemaHandler, PlainSerializer, SecretStr
 from pydantic.json_schema import JsonSchemaValue
-from pydantic_core import CoreSchema, PydanticCustomError, core_schema
+from pydantic_core import CoreSchema, ErrorDetails, PydanticCustomError, core_schema
 
 from tactiled.units import LENGTH, STIFFNESS
 
 SI = {LENGTH: {"metres": 1e3}, STIFFNESS: {"Pa": 1e-6}}  # units that a number may have been given in, over ours
+
+
+def reason(fault: ErrorDetails) -> str:
+    """What is wrong with a value, in plain words."""
+    plain = {"missing": "missing", "extra_forbidden": "unknown key"}
+    return plain.get(fault["type"]) or fault["msg"].removeprefix("Value error, ")
+
+
+def shown(value: Any) -> str:
+    """A value that came in JSON, at most 80 characters of it."""
+    words = {None: "null", True: "true", False: "false"}
+    return words[value] if value is None or isinstance(value, bool) else f"{value!r:.80}"
 
 
 def slips(value: float, unit: str, units: Mapping[str, float], low: float, high: float) -> list[tuple[float, str]]:

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import TypeAdapter, ValidationError
 
+from tactiled.bounds import reason
 from tactiled.bus import codecs
 from tactiled.bus.assembler import unpacked
 from tactiled.bus.codec import Codec, Match, ShearCodec, Skin, Traffic, read_one
@@ -102,7 +103,7 @@ def read_settings(name: str, table: Mapping[str, Any], folder: Path) -> Skin:
     except ValidationError as error:
         if name in BUILT_IN:
             raise
-        faults = (f"{'.'.join(map(str, each['loc']))}: {each['msg']}" for each in error.errors())
+        faults = (f"{'.'.join(map(str, each['loc']))}: {reason(each)}" for each in error.errors())
         raise ValueError(_redactor(name, table)("; ".join(faults))) from None
     except Exception as error:
         raise ValueError(_redactor(name, table)(_line(error))) from error

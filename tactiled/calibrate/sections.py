@@ -18,7 +18,7 @@ from pydantic import (
 )
 
 from tactiled.arrays import Floats, Reals
-from tactiled.bounds import Syntax
+from tactiled.bounds import Syntax, reason
 from tactiled.calibrate.counts.curves import Curves, Form
 from tactiled.calibrate.counts.hysteresis import Loop
 from tactiled.calibrate.cover.fit import CoverFit, Method
@@ -267,10 +267,9 @@ def error_line(error: ValidationError) -> str:
     """The first error in one line: the place, the value, what is wrong with it."""
     first = error.errors()[0]
     place = "".join(f"[{each}]" if isinstance(each, int) else f".{each}" for each in first["loc"]).lstrip(".")
-    message = first["msg"].removeprefix("Value error, ")
     if first["type"] in ("value_error", "missing", "extra_forbidden"):  # of a whole table, or of none
-        return f"{place}: {message}" if place else message
-    return f"{place} = {first['input']!r:.60}: {message}"
+        return f"{place}: {reason(first)}" if place else reason(first)
+    return f"{place} = {first['input']!r:.60}: {reason(first)}"
 
 
 def _attempt(make: Callable[[], object]) -> None:

@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
 
+from tactiled.bounds import reason
 from tactiled.calibrate.counts.tare import Zero
 from tactiled.calibrate.sections import OptionalValues, Table, Values, optional
 from tactiled.contacts.regions import Region
@@ -150,7 +151,7 @@ def _read(path: Path) -> tuple[dict[str, str], dict[str, KeptTare | None], Regio
     try:
         return methods, kept, REGIONS.validate_python(content.get("regions", {}))
     except ValidationError as error:
-        raise ConfigError(f"state {path}: regions: {error.errors()[0]['msg']}: mend it or delete it") from error
+        raise ConfigError(f"state {path}: regions: {reason(error.errors()[0])}: mend it or delete it") from error
 
 
 def _tare(content: object) -> KeptTare | None:

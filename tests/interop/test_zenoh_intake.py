@@ -106,7 +106,7 @@ def test_a_wrong_message_makes_its_sensor_stale_and_changes_nothing_else_until_a
         ({"flags": np.zeros(3, np.uint8)}, DETAIL, "3 flags: one a taxel"),
         ({"restored": np.zeros((2, 2), np.float32)}, DETAIL, "restored of 4 values: its geometry has 16"),
         ({}, DETAIL | {"warnings": [{"code": "new", "text": ""}]}, "detail: warnings.0.code = 'new'"),
-        ({}, {}, "detail: why: Field required"),
+        ({}, {}, "detail: why: missing"),
     ],
 )
 def test_an_image_of_another_form_is_refused_and_the_next_one_is_shown(changes, detail, why):

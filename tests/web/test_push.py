@@ -154,7 +154,7 @@ def test_the_control_token_is_needed(url):
         ("pad", b"\0" * 18, 4400, "18 bytes: give 16 and four for each taxel"),
         ("pad", HEADER.pack(-1.0, 0, 0) + bytes(60), 4400, "time = -1"),
         ("pad", HEADER.pack(0.0, 0, 0) + bytes(56), 4400, "values: shape (14,) for sensor pad"),
-        ("pad", '{"value": []}', 4400, "values: Field required"),
+        ("pad", '{"value": []}', 4400, "values: missing"),
         ("pad", '{"values": "a"}', 4400, "values: Input should be a valid array"),
         ("palm", "", 4400, "sensor 'palm': reads bus can0"),
         ("pat", "", 4404, "sensor 'pat': no such sensor"),

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError, model_validator
 
 from tactiled import __version__, units
-from tactiled.bounds import NAME, Bounds, Name, Pitch, Place, Syntax
+from tactiled.bounds import NAME, Bounds, Name, Pitch, Place, Syntax, reason, shown
 from tactiled.diagnostics.warning_codes import WarningCode
 from tactiled.frames import Direction, FrameWarning
 from tactiled.live.events import Kind as EventKind
@@ -193,8 +193,8 @@ def first_fault(error: ValidationError) -> str:
     """The first fault of a message, in one line of printable ASCII."""
     fault = error.errors(include_url=False, include_context=False)[0]
     is_value = fault["type"] != "missing" and not isinstance(fault["input"], dict | list)
-    value = f" = {fault['input']!r:.60}" if is_value else ""
-    line = f"{'.'.join(map(str, fault['loc'])):.100}{value}: {fault['msg']:.150}"
+    value = f" = {shown(fault['input']):.60}" if is_value else ""
+    line = f"{'.'.join(map(str, fault['loc'])):.100}{value}: {reason(fault):.150}"
     return line.encode("unicode_escape").decode()
 
 

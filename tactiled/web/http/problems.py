@@ -9,6 +9,7 @@ from fastapi.exceptions import RequestValidationError
 from starlette.exceptions import HTTPException
 from starlette.routing import Match
 
+from tactiled.bounds import reason, shown
 from tactiled.errors import (
     CalibrationStateError,
     ConfigError,
@@ -125,7 +126,7 @@ def _follows(error: Mapping[str, Any], errors: Sequence[Mapping[str, Any]]) -> b
     )
 
 
-def _describe(error: Mapping[str, Any]) -> str:
+def _describe(error: Any) -> str:
     """One validation error in a line."""
     source, *path = error["loc"]
     if error["type"] == "json_invalid":
@@ -136,7 +137,7 @@ def _describe(error: Mapping[str, Any]) -> str:
         return f"{key} = {tags.get('tag')!r}: give {tags.get('expected_tags', 'it')}"
     value = error.get("input")
     if source == "body" and not path:
-        return f"body{'' if value is None else f' = {value!r:.80}'}: give a JSON object"
+        return f"body{'' if value is None else f' = {shown(value)}'}: give a JSON object"
     if error["type"] == "missing":  # its input is all that stands beside it, a token as well
-        return f"{'.'.join(map(str, path))}: {error['msg']}"
-    return f"{'.'.join(map(str, path)) or source} = {value!r:.80}: {error['msg']}"
+        return f"{'.'.join(map(str, path))}: {reason(error)}"
+    return f"{'.'.join(map(str, path)) or source} = {shown(value)}: {reason(error)}"

@@ -18,6 +18,7 @@ from pydantic import (
 from pydantic.json_schema import WithJsonSchema
 from starlette.datastructures import QueryParams
 
+from tactiled.bounds import reason
 from tactiled.web.schemas import IMAGE_CELLS, ImageCells, Next
 from tactiled.wire import KINDS, PRESSURES, Kind
 
@@ -120,8 +121,8 @@ def parse(query: QueryParams, form: type[Q]) -> Q:
         name = str(error["loc"][0]) if error["loc"] else ""
         if error["type"] == "extra_forbidden":
             raise ValueError(no_such(name, [each for each in form.model_fields if each != "token"])) from None
-        reason = error["msg"].removeprefix("Value error, ")
-        raise ValueError(f"{name}={brief(query[name])}: {reason}" if name else reason) from None
+        why = reason(error)
+        raise ValueError(f"{name}={brief(query[name])}: {why}" if name else why) from None
 
 
 @lru_cache(maxsize=64)  # of at most MAX_MESSAGE_BYTES each: clients send the same ones over and over
