@@ -17,8 +17,9 @@ SI = {LENGTH: {"metres": 1e3}, STIFFNESS: {"Pa": 1e-6}}  # units that a number m
 
 def reason(fault: ErrorDetails) -> str:
     """What is wrong with a value, in plain words."""
-    plain = {"missing": "missing", "extra_forbidden": "unknown key"}
-    return plain.get(fault["type"]) or fault["msg"].removeprefix("Value error, ")
+    plain = {"missing": "missing", "extra_forbidden": "unknown key", "unexpected_keyword_argument": "unknown key"}
+    words = fault["msg"].removeprefix("Value error, ").replace(" after validation", "")
+    return plain.get(fault["type"]) or words.replace("Tuple should", "List should").replace("valid tuple", "list")
 
 
 def shown(value: Any) -> str:
@@ -69,7 +70,8 @@ class Bounds:
         """Refuse a number past either end, and NaN."""
         size = abs(value) if self.signed else value
         if not (self.low <= size <= self.high or (self.zero and value == 0)):
-            found = slips(value, self.unit, SI.get(self.unit, {}), self.low, self.high)
+            units = SI.get(self.unit, {}) if size > 0 else {}
+            found = slips(value, self.unit, units, self.low, self.high)
             meant, words = found[0] if found else (min(max(size, self.low), self.high), "")
             context = {"bounds": str(self), "slip": words, "meant": meant}
             raise PydanticCustomError("out_of_bounds", "give {bounds}{slip}", context)

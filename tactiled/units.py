@@ -33,7 +33,7 @@ def nanoseconds(seconds: float) -> int:
 
 def number_text(value: float) -> str:
     """Three significant digits, or more where a whole number has more."""
-    return f"{value:.3g}" if abs(value) < 100 else f"{value:.0f}"
+    return f"{value:#.3g}".rstrip(".") if abs(value) < 100 else f"{value:.0f}"
 
 
 def force_text(force: float, unit: Unit) -> str:

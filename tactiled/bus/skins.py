@@ -10,11 +10,13 @@ from importlib import import_module
 from importlib.metadata import EntryPoints, entry_points
 from pathlib import Path
 from pkgutil import iter_modules
-from typing import Any, cast
+from typing import Any, cast, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import TypeAdapter, ValidationError
+from pydantic_core import ErrorDetails
+from pydantic_core.core_schema import ErrorType
 
 from tactiled.bounds import reason
 from tactiled.bus import codecs
@@ -28,6 +30,7 @@ from tactiled.geometry import Array
 GROUP = "tactiled.codecs"
 BUILT_IN = tuple(each.name for each in iter_modules(codecs.__path__))
 LARGE_SEQUENCE = 1 << 20  # no skin sends such a number: it wraps before
+PYDANTICS = {*get_args(ErrorType)} - {"value_error", "assertion_error"}  # no codec's own
 LOG = logging.getLogger(__name__)
 
 
@@ -103,11 +106,21 @@ def read_settings(name: str, table: Mapping[str, Any], folder: Path) -> Skin:
     except ValidationError as error:
         if name in BUILT_IN:
             raise
-        faults = (f"{'.'.join(map(str, each['loc']))}: {reason(each)}" for each in error.errors())
-        raise ValueError(_redactor(name, table)("; ".join(faults))) from None
+        redact = _redactor(name, table)
+        raise ValueError("; ".join(_fault(each, redact) for each in error.errors())) from None
     except Exception as error:
         raise ValueError(_redactor(name, table)(_line(error))) from error
     return checked
+
+
+def _fault(fault: ErrorDetails, redact: Callable[[str], str]) -> str:
+    """One fault of a setting in words; its value where that is a number, or its name says that it is no secret."""
+    place, value, why = ".".join(map(str, fault["loc"])), fault["input"], reason(fault)
+    why = why if fault["type"] in PYDANTICS else redact(why)  # whose words have no value in them
+    if fault["type"] in ("missing", "unexpected_keyword_argument"):
+        return f"{place}: {why}"
+    (text,) = show([*seal({place: value}).values()]) if not isinstance(value, dict | list) else ("",)
+    return f"{place}{text and ' = '}{text}: {why}"
 
 
 def redacted(name: str, skin: Skin) -> dict[str, Any]:

@@ -69,7 +69,9 @@ def findings_of(config: Path) -> list[Finding]:
             raise
         other, replaced = meant
         _print([each for each in config_findings(other) if not each.rests_on(replaced)])
-        faults = [f"{config}: {each}" for each in (*faults_between_sections(other), *refused_codecs(other))]
+        faults = [
+            f"{config}: {each}" for each in (*faults_between_sections(other), *refused_codecs(other, replaced))
+        ]
         raise ConfigError("\n".join(dict.fromkeys([*str(error).splitlines(), *faults]))) from error
     return unedited(config.read_text("utf-8")) + config_findings(settings)
 

@@ -19,6 +19,11 @@ Coordinate = Annotated[float, Field(allow_inf_nan=False, strict=True)]
 HYSTERESIS = 0.1  # of a threshold, by which a value falls under it again where nobody says otherwise
 
 
+def _below(above: float) -> float:
+    """A value that is less than another by the default hysteresis, in few digits."""
+    return float(f"{above - HYSTERESIS * abs(above):.6g}")
+
+
 class Threshold(BaseModel):
     """A limit with hysteresis: an event comes above `above`, and another once the value is below `below` again."""
 
@@ -27,7 +32,7 @@ class Threshold(BaseModel):
     quantity: Quantity = Field(examples=["force"])
     above: Coordinate = Field(description="in the quantity's unit", examples=[5.0])
     below: Coordinate = Field(
-        default_factory=lambda known: known.get("above", 0.0) - HYSTERESIS * abs(known.get("above", 0.0)),
+        default_factory=lambda known: _below(known.get("above", 0.0)),
         description="at most `above`; left out: 10 % less",
         examples=[4.0],
     )

@@ -144,7 +144,9 @@ class Service:
         """Take the zero from before a sensor's last tare again; TareStateError where there is none."""
         sensor = self.sensor(name)
         sensor.undo_tare()
-        self.events.add("tare_undone", f"the zero from before the tare; {self._keep_tare(sensor)}", name)
+        self.events.add(
+            "tare_undone", f"the zero from before the tare holds again; {self._keep_tare(sensor)}", name
+        )
 
     def apply_calibration(self, name: str, file: CalibrationFile | None) -> None:
         """Calibrate a sensor by `file` from the next frame on, and write it where the configuration names one.
@@ -188,7 +190,7 @@ class Service:
     def _keep_tare(self, sensor: Sensor) -> str:
         """Keep a sensor's zero over a restart where there is a state file; in words whether it is kept."""
         if self.state is None:
-            return "not kept: this service keeps no state"
+            return "a restart forgets it: this service keeps no state"
         zero = sensor.pipeline.zero
         try:
             self.state.keep_tare(

@@ -194,4 +194,5 @@ def _apart(value: float, bound: float) -> str:
     """Three digits of a value, all before the point, or as many as tell it from a bound."""
     least = max(3, len(f"{abs(value):.0f}"))
     texts = (np.format_float_positional(value, n, unique=False, fractional=False) for n in range(least, least + 6))
-    return next((each.rstrip(".") for each in texts if float(each) != bound), f"{value}")
+    shown = float(f"{bound:g}")
+    return next((each.rstrip(".") for each in texts if float(each) != shown), f"{value}")

@@ -78,13 +78,21 @@ def config_findings(config: schema.Config) -> list[Finding]:
     return findings
 
 
-def refused_codecs(config: schema.Config) -> Iterator[str]:
-    """Why codecs of a configuration cannot be made."""
+def refused_codecs(config: schema.Config, but: Iterable[str] = ()) -> Iterator[str]:
+    """Why codecs of a configuration cannot be made; not of those that rest on any of some dotted keys."""
     for name, sensor in config.sensor.items():
+        wrong = {each.split(".")[2] for each in but if each.startswith(f"sensor.{name}.")}
+        try:
+            make_array(sensor)
+        except TactileError as error:
+            if "array" not in wrong:
+                yield f"sensor.{name}: {error}"
+            continue
         try:
             make_codec(sensor)
         except TactileError as error:
-            yield f"sensor.{name}: {error}"
+            if "codec" not in wrong:
+                yield f"sensor.{name}: {error}"
 
 
 def unedited(text: str) -> list[Finding]:

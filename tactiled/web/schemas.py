@@ -2,7 +2,7 @@
 
 from typing import Annotated, Any, Literal, Optional
 
-from pydantic import BaseModel, ConfigDict, Field, create_model
+from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, create_model
 
 from tactiled import units
 from tactiled.diagnostics.warning_codes import WarningCode
@@ -257,11 +257,17 @@ class Contacts(FrameId, Message):
     contacts: tuple[Contact, ...]
 
 
+def _form(values: Any) -> str:
+    """Tag of the form that values have; in `[]`, as names of types that no error shows."""
+    return "[rows]" if isinstance(values, list) and values and isinstance(values[0], list) else "[list]"
+
+
 class PushedFrame(RequestBody):
     """A frame that a program pushes."""
 
     values: Annotated[
-        list[list[Reading | None]] | list[Reading | None],
+        Annotated[list[list[Reading | None]], Tag("[rows]")] | Annotated[list[Reading | None], Tag("[list]")],
+        Discriminator(_form),  # else each value would have the errors of both forms
         Field(
             max_length=1 << 14,
             description="counts, or kPa with `kpa_per_count = 1`: rows of a grid, or one list; null: unknown",

@@ -64,8 +64,9 @@ def test_the_guides_example_works_and_is_recognised(install):
 @pytest.mark.parametrize(
     ("codec", "reasons"),
     [
-        ('name = "my-skin", base_id = 0x7FF', [": base_id: give 0 to 2046"]),
-        ('name = "my-skin", base_ib = 1', [": base_ib: Unexpected keyword argument"]),
+        ('name = "my-skin", base_id = 0x7FF', [": base_id = 2047: give 0 to 2046"]),
+        ('name = "my-skin", base_id = "a"', [": base_id = hidden: Input should be a valid integer"]),
+        ('name = "my-skin", base_ib = 1', [": base_ib: unknown key"]),
         (
             'name = "barrett", node = 99, nod = 1',
             [".node = 99: give 0 to 31", ".nod: unknown key: did you mean node?"],

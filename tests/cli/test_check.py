@@ -76,6 +76,14 @@ def test_a_wrong_codec_or_bus_hides_nothing_that_is_doubtful(palm):
         assert fault in texts[at]
 
 
+def test_no_fault_rests_on_a_value_that_is_wrong_itself(palm):
+    path = palm("base_id = 0x500", "base_id = 0x30000000")
+    path.write_text(path.read_text().replace("array_id = 0 ", "array_id = 20 "))
+    texts = str(run("check", path).exception).splitlines()
+    assert [each.partition("codec.")[2].partition(" = ")[0] for each in texts] == ["array_id", "base_id"]
+    assert str(run("check", palm("pitch_mm = 1.0", "pitch_mm = -1.0")).exception).endswith("give 0.01 to 1000 mm")
+
+
 def test_a_hint_and_a_file_as_it_is_written_end_a_check_well(palm):
     assert "doubtful" not in succeed("check", palm())
     output = succeed("check", palm("poisson = 0.48", "poisson = 0.3"))

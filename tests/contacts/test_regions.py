@@ -4,7 +4,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from tactiled.contacts.regions import Region, RegionMeter
+from tactiled.contacts.regions import Region, RegionMeter, Threshold
 from tactiled.geometry import grid, raster
 
 CELLS = raster(grid(40, 60, 0.5), 1)  # 30 x 20 mm; the first taxel's centre is at 0, 0
@@ -42,6 +42,11 @@ def test_force_mean_peak_and_contact_area_are_of_a_region_whose_every_cell_is_kn
     assert np.isnan(measure(restored(image, shares=shares))).all()
     image[5, 5] = np.nan  # a contact may be on it
     assert np.isnan(measure(restored(image))).all()
+
+
+def test_a_threshold_that_is_left_out_has_few_digits():
+    assert Threshold(quantity="force", above=8.2).below == 7.38  # 8.2 less a tenth is 7.379999999999999
+    assert Threshold(quantity="force", above=-8.2).below == -9.02
 
 
 @pytest.mark.parametrize(

@@ -193,7 +193,7 @@ def test_a_tare_is_kept_over_a_restart_with_its_age_and_undone(make, tmp_path, m
     assert again.sensor("palm").status().tared_at == 1000.0
     again.undo_tare("palm")
     assert restored(again).raw[3, 3] == 200
-    assert kinds(again)[-1] == ("tare_undone", "the zero from before the tare; kept")
+    assert kinds(again)[-1] == ("tare_undone", "the zero from before the tare holds again; kept")
     with pytest.raises(TareStateError, match="sensor 'palm': no tare to undo"):
         again.undo_tare("palm")
     assert kinds(make(file=None, state=tmp_path / "state.json")) == []
@@ -216,5 +216,5 @@ def test_a_tare_of_another_array_or_older_than_the_files_no_load_is_ignored(make
 def test_without_a_state_file_a_tare_is_not_kept_and_that_is_said(make):
     service = make(file=None)
     tare(service, np.full((8, 8), NO_LOAD + 3))
-    assert kinds(service)[-1][1].endswith("not kept: this service keeps no state")
+    assert kinds(service)[-1][1].endswith("a restart forgets it: this service keeps no state")
     assert service.sensor("palm").pipeline.zero.counts[0] == NO_LOAD + 3

@@ -32,7 +32,7 @@ test("the verdict says what changed, or why nothing can be told", () => {
   assert.equal(verdict({ cover: { ...cover, reason: "nothing sharp" } }), "This cannot tell the thickness: nothing sharp.");
   assert.equal(verdict({ cover: { ...cover, reason: "too thin?" } }), "This cannot tell the thickness: too thin?");
   assert.deepEqual(coverNotes({ ...cover, reason: "nothing sharp" }, "tip"), ["a note"]);
-  assert.deepEqual(coverNotes(cover, "edge"), ["Fitted to 20 edges. It misses edges left out of it by 1.1 times what noise and gain errors explain.", "a note"]);
+  assert.deepEqual(coverNotes(cover, "edge"), ["Fitted to 20 edges. What it gives for edges that the fit did not use is off by 1.07 times what noise and gain errors explain.", "a note"]);
 });
 
 test("a chart has the fitted line and the measured points in the order of their places, unknown ones left out", () => {

@@ -124,6 +124,7 @@ test("a region holds what the frame that is shown has in it, and nothing is know
   const rectangle = cellsIn({ shape: "rectangle", points_mm: [[3, 5], [-1, 1]] }, cells);
   assert.deepEqual(rectangle, [5, 6, 10, 11]);
   assert.deepEqual(measureRegion(rectangle, frame, cells), { force: 4 * 32e-3, mean: 8, peak: 11, area: 16 });
+  assert.deepEqual(measureRegion(rectangle, { ...frame, highest: true }, cells), { force: NaN, mean: NaN, peak: 11, area: NaN });
   assert.deepEqual(cellsIn({ shape: "ellipse", points_mm: [[1, 1], [7, 5]] }, cells), [6, 7, 8, 11, 12, 13]);
   assert.deepEqual(cellsIn({ shape: "polygon", points_mm: [[-1, -1], [5, -1], [-1, 5]] }, cells), [0, 1, 5]);
   assert.deepEqual(cellsIn({ shape: "rectangle", points_mm: [[2.5, -1], [6, 2]] }, scattered().restored), [2, 6, 7]);

@@ -111,6 +111,40 @@ def test_a_region_is_drawn_named_measured_and_deleted(rig, url, open_page):
     page.get_by_role("button", name="cell r2 c4").wait_for()
 
 
+def test_a_region_is_drawn_and_saved_by_keys_and_the_dialog_says_what_it_lacks(rig, url, open_page):
+    rig.show(pressed(3, force=3000))
+    page = open_page(url)
+    page.press("p")
+    for key in ("Alt+ArrowLeft", "Alt+ArrowUp"):
+        page.press(key)
+    page.locator("#region-rectangle").focus()
+    page.press("Enter")
+    page.press("Enter")  # the first corner
+    for key in ("Alt+ArrowRight", "Alt+ArrowDown", "Alt+ArrowDown", "Enter"):
+        page.press(key)
+    page.locator("#region-title").get_by_text("New region: rectangle").wait_for()
+    page.press("Enter")
+    assert page.evaluate("document.getElementById('region-name').validity.valueMissing")
+    page.get_by_label("Name").fill("-")
+    page.press("Enter")
+    page.get_by_text("Region not saved: region = '-': give 1 to 40 letters").wait_for()
+    assert page.evaluate("document.querySelector('dialog #notice') !== null")  # else it lies behind the dialog
+    page.get_by_label("Name").fill("heel")
+    page.locator("#region-limit").select_option("force")
+    page.locator("#region-above").fill("5")
+    page.locator("#region-below").fill("9")
+    page.press("Enter")
+    assert "not above" in page.evaluate("document.getElementById('region-below').validationMessage")
+    page.locator("#region-below").fill("")
+    page.press("Enter")
+    page.wait("!document.querySelector('dialog[open]')")
+    (region,) = ask("GET", f"{url}/api/v1/sensors/palm/regions").json()["regions"]
+    (left, top), (right, bottom) = region["points_mm"]
+    assert (right - left, bottom - top) == pytest.approx((1, 2))
+    assert region["threshold"] == {"quantity": "force", "above": 5.0, "below": 4.5}
+    page.finish("status of 422")
+
+
 def test_a_polygon_is_closed_by_touch_at_its_first_corner_or_by_a_button(rig, url, open_page):
     rig.show(pressed(3, force=3000))
     page = open_page(url, **TOUCH)

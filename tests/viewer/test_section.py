@@ -25,6 +25,11 @@ WATCH_REQUESTS = """() => {
 }"""
 
 
+def digits(mm):
+    """A length as the page writes it."""
+    return f"{mm:.2f}" if abs(mm) < 1 else f"{mm:#.3g}"
+
+
 def line_kpa(page, cells):
     """Pressure (kPa) of the restored line in the middle of each cell; NaN where it is hidden."""
     got = page.pixels("section")[TOP_PX:-BOTTOM_PX, LEFT_PX:-RIGHT_PX]
@@ -48,7 +53,7 @@ def test_it_runs_along_either_axis_through_the_peak_or_a_pinned_probe_on_every_l
     restored = rig.sensor.hub.latest().restored
     row, column = np.unravel_index(restored.argmax(), (8, 8))
     for along, across, at, values in (("x", "y", row, restored[row]), ("y", "x", column, restored[:, column])):
-        page.wait(f"{WHERE} === '{across} {at:.1f} mm'")
+        page.wait(f"{WHERE} === '{across} {digits(at)} mm'")
         page.refreshed()
         np.testing.assert_allclose(line_kpa(page, 8), values, atol=5)
         assert page.locator("#section").get_attribute("aria-label").startswith(f"Pressure along {along}, ")
@@ -65,13 +70,13 @@ def test_it_runs_along_either_axis_through_the_peak_or_a_pinned_probe_on_every_l
     before = float(page.evaluate(WHERE).split()[1])
     for key in ("Alt+ArrowRight", "Alt+ArrowDown"):
         page.press(key)
-        page.wait(f"{WHERE} === 'x {before + 1:.1f} mm, pinned'")
+        page.wait(f"{WHERE} === 'x {digits(before + 1)} mm, pinned'")
     for key, where in (
-        ("2", f"y {y:.1f} mm"),  # no grid: through the cell with the highest pressure
-        ("x", f"x {x:.1f} mm"),
-        ("3", "x 1.0 mm"),  # much taller than wide: along y at first
+        ("2", f"y {digits(y)} mm"),  # no grid: through the cell with the highest pressure
+        ("x", f"x {digits(x)} mm"),
+        ("3", "x 1.00 mm"),  # much taller than wide: along y at first
         ("x", "y 11.0 mm"),
-        ("1", f"y {row:.1f} mm"),
+        ("1", f"y {digits(row)} mm"),
     ):
         page.press(key)
         page.wait(f"{WHERE} === '{where}'")

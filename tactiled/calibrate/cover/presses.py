@@ -171,7 +171,8 @@ def _mean(frames: Floats32, loaded: Mask, plateau: Ints, noise: Floats) -> tuple
 def _unusable(mean: Floats, error: Floats, plateau: Ints, array: Array, border: bool) -> str:
     """Why a press cannot be used; "" where it can."""
     if len(plateau) < MIN_PLATEAU_FRAMES:
-        return f"never stands still: frames of full load at one place: {len(plateau)}"
+        count = len(plateau)
+        return f"never stands still: full load stays in place for {count} frames, {MIN_PLATEAU_FRAMES} are needed"
     ratio = mean / error
     peak = int(np.nanargmax(mean))
     if ratio[peak] < MIN_PEAK:

@@ -129,6 +129,7 @@ def _follows(error: Mapping[str, Any], errors: Sequence[Mapping[str, Any]]) -> b
 def _describe(error: Any) -> str:
     """One validation error in a line."""
     source, *path = error["loc"]
+    path = [each for each in path if "[" not in str(each)]  # no names of types
     if error["type"] == "json_invalid":
         return f"body: no JSON at character {path[0]}: {error['ctx']['error']}"
     if error["type"].startswith("union_tag"):

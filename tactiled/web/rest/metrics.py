@@ -84,7 +84,7 @@ def _regions(sensors: Mapping[str, SensorView]) -> Iterator[Metric]:
     summaries = [
         (sensor.name, name, summary)
         for sensor in sensors.values()
-        if isinstance(sensor, Sensor)
+        if isinstance(sensor, Sensor) and sensor.state == "live"
         for name, each in sensor.regions.series.items()
         if (summary := each.summary())
     ]

@@ -16,6 +16,7 @@ from tactiled.contacts.regions import Measures, Region, headings
 from tactiled.live import region_monitor
 from tactiled.live.region_monitor import SERIES_S, RegionSeries
 from tactiled.live.sensor import Sensor
+from tactiled.live.status import State
 from tactiled.web import schemas
 from tactiled.web.http.problems import Problem
 from tactiled.web.rest.dependencies import CurrentService, NamedSensor, keeping
@@ -42,24 +43,31 @@ class WatchedRegion(Region):
 
     name: str = Field(examples=["heel"])
     unit: units.Unit = Field("kPa", description="of pressures")
-    now: RegionMeasures | None = Field(None, description="in the newest image; null before the first")
+    now: RegionMeasures | None = Field(
+        None, description="in the newest image; null before the first, and where the sensor is not live"
+    )
     highest: RegionMeasures | None = Field(None, description="each on its own, since `since`")
     impulse: float = Field(0.0, description="integral of force over time since `since`, N s or counts mm2 s")
     pressure_time: float = Field(0.0, description="integral of the peak pressure since `since`, `unit` times s")
     since: float | None = Field(None, description="Unix time of the first image, or of the first after a reset")
-    exceeded: bool = Field(False, description="the threshold is")
+    exceeded: bool = Field(False, description="the threshold is, in the newest image")
 
     @classmethod
-    def of(cls, series: RegionSeries) -> "WatchedRegion":
-        """As it is now."""
+    def of(cls, series: RegionSeries, state: State) -> "WatchedRegion":
+        """As it is now, by the state of its sensor."""
         summary = series.summary()
-        return cls(name=series.name, **dict(series.region), **(asdict(summary) if summary else {}))
+        held = asdict(summary) | ({} if state == "live" else {"now": None}) if summary else {}
+        return cls(name=series.name, **dict(series.region), **held)
 
 
 class WatchedRegions(schemas.Schema):
     """The regions of a sensor."""
 
     regions: tuple[WatchedRegion, ...]
+    state: State = Field(description="of the sensor", examples=["live"])
+    timestamp: float | None = Field(
+        description="Unix time of the newest image; null before the first", examples=[1763712000.25]
+    )
     kept: bool = Field(description="they are there after a restart, too")
 
 
@@ -87,8 +95,10 @@ def watched(sensor: Sensor, region: str) -> RegionSeries:
 @router.get("", responses=problems(404))
 def regions(sensor: NamedSensor, service: CurrentService) -> WatchedRegions:
     """Get the regions with their values now, their highest values and integrals."""
-    each = tuple(map(WatchedRegion.of, sensor.regions.series.values()))
-    return WatchedRegions(regions=each, kept=service.state is not None)
+    state, image = sensor.state, sensor.hub.latest()
+    each = tuple(WatchedRegion.of(series, state) for series in sensor.regions.series.values())
+    timestamp = None if image is None else image.time
+    return WatchedRegions(regions=each, state=state, timestamp=timestamp, kept=service.state is not None)
 
 
 @router.put("/{region}", responses=problems(404, 409, 503, *CONTROL, *JSON_BODY))
@@ -99,7 +109,7 @@ def put_region(sensor: NamedSensor, service: CurrentService, region: RegionName,
             service.regions.put(sensor, region, body)
     except ValueError as error:
         raise Problem(409, str(error)) from error
-    return WatchedRegion.of(watched(sensor, region))
+    return WatchedRegion.of(watched(sensor, region), sensor.state)
 
 
 @router.delete("/{region}", status_code=204, responses=problems(404, 503, *CONTROL))

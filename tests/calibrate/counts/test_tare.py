@@ -99,12 +99,12 @@ def test_a_load_is_described_in_kpa_and_taxels():
     frame = np.zeros((4, 4), np.float32)
     assert load_description([frame], NOISE) == ""
     frame[1, 1] = 12
-    assert load_description([frame], NOISE) == "contact of 12 kPa on taxel 5"
+    assert load_description([frame], NOISE) == "contact of 12.0 kPa on taxel 5"
     frame[:2, :2] = 12, 9
-    assert load_description([frame], NOISE) == "contact of 12 kPa on 4 taxels"
-    assert load_description([frame], NOISE, "counts") == "contact of 12 counts on 4 taxels"
+    assert load_description([frame], NOISE) == "contact of 12.0 kPa on 4 taxels"
+    assert load_description([frame], NOISE, "counts") == "contact of 12.0 counts on 4 taxels"
     assert load_description([frame * 200], NOISE, "counts") == "contact of 2400 counts on 4 taxels"
-    assert load_description([frame * 0, frame * 0 + 8], NOISE) == "readings that move by 4 kPa"
+    assert load_description([frame * 0, frame * 0 + 8], NOISE) == "readings that move by 4.00 kPa"
 
 
 def test_an_unknown_taxel_is_left_out():
@@ -115,7 +115,7 @@ def test_an_unknown_taxel_is_left_out():
     assert load_description([frame, once], NOISE) == ""
     assert load_description([np.full((4, 4), np.nan, np.float32)], NOISE) == ""
     frame[2, 2] = 50
-    assert load_description([frame, once], NOISE) == "contact of 25 kPa on taxel 10"
+    assert load_description([frame, once], NOISE) == "contact of 25.0 kPa on taxel 10"
 
 
 @pytest.mark.parametrize("times", [10, 30])

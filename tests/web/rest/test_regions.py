@@ -10,7 +10,9 @@ HEEL = {"shape": "rectangle", "points_mm": [[1.5, 1.5], [5.5, 5.5]]}
 def test_a_region_is_watched_measured_and_removed(rig, client, url):
     rig.show(pressed())
     rig.stale_after(600)
-    assert client.get("/sensors/palm/regions").json() == {"regions": [], "kept": False}
+    assert client.get("/sensors/palm/regions").json() == {
+        "regions": [], "state": "live", "timestamp": pytest.approx(rig.sensor.hub.latest().time), "kept": False
+    }  # fmt: skip
     made = client.put("/sensors/palm/regions/heel", json=HEEL).json()
     assert (made["name"], made["shape"], made["now"]) == ("heel", "rectangle", None)
     images = [rig.show(pressed(force=force)) for force in (400, 3000)]
@@ -32,6 +34,11 @@ def test_a_region_is_watched_measured_and_removed(rig, client, url):
     assert "should be 'json' or 'csv'" in problem(refused, 422)
     metrics = ask("GET", f"{url}/metrics").text
     assert f'tactiled_region_peak{{region="heel",sensor="palm"}} {heel["now"]["peak"]}' in metrics
+    rig.stale_after(0)
+    answer = client.get("/sensors/palm/regions").json()
+    assert (answer["state"], answer["timestamp"]) == ("stale", pytest.approx(images[1].time))
+    assert (answer["regions"][0]["now"], answer["regions"][0]["highest"]) == (None, heel["highest"])
+    assert "tactiled_region_peak{" not in ask("GET", f"{url}/metrics").text
     assert client.post("/sensors/palm/regions/heel/reset").status_code == 204
     assert client.delete("/sensors/palm/regions/heel").status_code == 204
     refused = client.get("/sensors/palm/regions/heel/series")
@@ -58,7 +65,11 @@ def test_a_region_over_its_threshold_is_an_event(rig, client):
     ("body", "status", "words"),
     [
         (HEEL | {"points_mm": [[90, 90], [95, 95]]}, 409, "no cell of the image"),
-        (HEEL | {"points_mm": [[1, 1]]}, 422, "points_mm"),
+        (
+            HEEL | {"points_mm": [[1, 1]]},
+            422,
+            r"^points_mm = \[\[1, 1\]\]: List should have at least 2 items",
+        ),
         (HEEL | {"points_mm": [[1, 1], [2, "b"]]}, 422, "^points_mm.1.1 = 'b': Input should be a valid number$"),
         (HEEL | {"colour": "red"}, 422, "colour"),
         (HEEL | {"threshold": {"quantity": "force", "above": "1"}}, 422, "^threshold.above = '1': [^;]*$"),

@@ -320,7 +320,7 @@ export class CalibrationPage {
     setDisabled(true);
     const name = this._name;
     const done = await this._act("Not applied", async () => {
-      if (step === "cover") this._say("The cover is solved. This takes some seconds.");
+      if (step === "cover") this._say("The cover is being solved: this takes some seconds.");
       const { id: before } = await api.calibration(name);
       const ended = await api.calibrationAction(name, "apply");
       this._applied = { name, before };

@@ -99,7 +99,7 @@ const MADE_OF = { tip: "presses", edge: "edges", blind: "frames", uniform: "", w
 /** @param {CoverResult} cover @param {Way} way @returns {string[]} */
 export function coverNotes({ presses, residual, reason, notes }, way) {
   if (reason) return notes;
-  const check = residual === null ? "" : ` It misses ${MADE_OF[way]} left out of it by ${number(residual, 2)} times what noise and gain errors explain.`;
+  const check = residual === null ? "" : ` What it gives for ${MADE_OF[way]} that the fit did not use is off by ${number(residual)} times what noise and gain errors explain.`;
   return [`Fitted to ${presses} ${MADE_OF[way]}.${check}`, ...notes];
 }
 

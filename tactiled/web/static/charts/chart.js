@@ -157,6 +157,9 @@ export class Chart {
     const right = x + 6 + draw.measureText(text).width > PLOT_LEFT_PX + this._w;
     draw.textAlign = right ? "right" : "left";
     draw.textBaseline = "top";
+    draw.strokeStyle = this._ink.panel;
+    draw.lineWidth = 4;
+    draw.strokeText(text, x + (right ? -6 : 6), TOP_PX + 2);
     draw.fillText(text, x + (right ? -6 : 6), TOP_PX + 2);
   }
 

@@ -57,7 +57,7 @@ export class KernelPanel {
 /** @param {number} gain @returns {string} */
 function gainText(gain) {
   if (!Number.isFinite(gain)) return "\u2013";
-  if (Math.abs(gain) >= 0.001 || gain === 0) return number(gain, 2).length > 5 ? gain.toPrecision(2) : String(Number(gain.toPrecision(2)));
-  const [digits, power] = gain.toExponential(0).split("e");
+  if (Math.abs(gain) >= 0.001 || gain === 0) return number(gain);
+  const [digits, power] = gain.toExponential(2).split("e");
   return `${digits} × 10⁻${[...String(Math.abs(Number(power)))].map((each) => "⁰¹²³⁴⁵⁶⁷⁸⁹"[Number(each)]).join("")}`;
 }

@@ -25,8 +25,9 @@ export function inkOn(rgba) {
 /** @param {number} value @returns {number} its three digits and their decimals in one whole number: two that are equal read alike */
 function digitsOf(value) {
   const size = Math.abs(value);
-  if (size < 9.995) return Math.round(value * 100) * 3 + 2;
-  return size < 99.95 ? Math.round(value * 10) * 3 + 1 : Math.round(value) * 3;
+  if (size < 0.9995) return Math.round(value * 1000) * 4 + 3;
+  if (size < 9.995) return Math.round(value * 100) * 4 + 2;
+  return size < 99.95 ? Math.round(value * 10) * 4 + 1 : Math.round(value) * 4;
 }
 
 /** By digits. Nobody has to make them again, or to collect them, sixty times a second. @type {Map<number, string>} */
@@ -36,8 +37,8 @@ const texts = new Map();
 function textOf(digits) {
   const known = texts.get(digits);
   if (known !== undefined) return known;
-  const decimals = ((digits % 3) + 3) % 3;
-  const whole = (digits - decimals) / 3;
+  const decimals = ((digits % 4) + 4) % 4;
+  const whole = (digits - decimals) / 4;
   const text = whole ? fixed(whole / 10 ** decimals, decimals) : "0"; // there is less to read where there is nothing
   if (texts.size > MAX_TEXTS) texts.clear();
   texts.set(digits, text);

@@ -23,38 +23,28 @@ export class ContactTable {
   /**
    * @param {Contact[]|null} contacts null where none are known
    * @param {boolean} enabled whether they are requested
-   * @param {number} taxels
-   * @param {number} unknown of these, nothing is known
+   * @param {string} held what is shown in place of an image; "" for nothing
+   * @param {string} none what it means that there are none
    * @param {number} unit of their pressure
    * @param {boolean} still the frame does not change: no contacts are on their way
    * @param {Map<string, number>|null} charted what the chart of series shows, as "contact 3"; null where it can show none
    */
-  show(contacts, enabled, taxels, unknown, unit, still, charted) {
+  show(contacts, enabled, held, none, unit, still, charted) {
     const now = performance.now();
     if (contacts) this._known = now;
-    const late = !contacts && enabled && !still && now - this._known < LATE_MS;
+    const late = !contacts && enabled && !held && !still && now - this._known < LATE_MS;
     this._table.classList.toggle("late", late);
     if (late) return; // the rows stay, as old ones: nothing below them jumps
     const count = Math.min(MAX_ROWS, contacts?.length ?? 0);
     this._table.hidden = !count;
     this._line.hidden = count > 0 && (contacts?.length ?? 0) === count;
     const more = (contacts?.length ?? 0) - count;
-    setText(this._line, count ? `and ${more} weaker` : !enabled ? "Contacts are switched off." : contacts ? noContact(taxels, unknown) : still ? "They were looked for in no frame near this one." : "–");
+    const unknown = held ? "They are found in single images." : still ? "They were looked for in no frame near this one." : "–";
+    setText(this._line, count ? `and ${more} weaker` : !enabled ? "Contacts are switched off." : contacts ? none : unknown);
     while (this._body.rows.length < count) this._body.append(newRow());
     while (this._body.rows.length > count) this._body.deleteRow(-1);
     for (let i = 0; contacts && i < count; i += 1) fillRow(this._body.rows[i].cells, contacts[i], unit, charted);
   }
-}
-
-/**
- * @param {number} taxels
- * @param {number} unknown of these, nothing is known
- * @returns {string} what no contact means
- */
-function noContact(taxels, unknown) {
-  if (!unknown) return "No contact";
-  if (unknown >= taxels) return "No taxel has data";
-  return `No contact on the ${taxels - unknown} of ${taxels} taxels with data`;
 }
 
 /** @returns {HTMLTableRowElement} an empty one */

@@ -81,7 +81,7 @@ export class HeldImage {
     measure(restored, plane.restored, noise * (frame.noiseGain || 1), ofRestored, frame.unit);
     // The highest of each cell were never pressed together: their sum is no force, and their centre none.
     if (this.kind === "peak") for (const of of [ofRaw, ofRestored]) of.force = of.x = of.y = NaN;
-    this._frame = { ...frame, raw, restored, ofRaw, ofRestored, sheared: false };
+    this._frame = { ...frame, raw, restored, ofRaw, ofRestored, sheared: false, highest: this.kind === "peak" };
   }
 
   /** @returns {string} what is shown; "" for the image itself */

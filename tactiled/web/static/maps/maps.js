@@ -106,7 +106,7 @@ export class Maps {
     else this.arrows.clear();
     if (shear && frame.sheared && frame.traction.length) this.restoredArrows.draw(frame.traction, frame.timestamp);
     else this.restoredArrows.clear();
-    if (view.name === "difference" && view.signed) this._paintDifference(frame, view.signed);
+    if (view.name === "difference" && view.signed) this._paintDifference(frame, range, view.signed);
     this._writeValues(frame, range, colormap, view);
     if (view.name !== "surface") return;
     this._surfaces[0].paint(frame.raw, range, colormap, frame.unit);
@@ -158,8 +158,8 @@ export class Maps {
     return this._differenceRange;
   }
 
-  /** @param {Frame} frame @param {Colormap} colormap */
-  _paintDifference({ raw, restored, noise, timestamp, unit }, colormap) {
+  /** @param {Frame} frame @param {DisplayRange} shared of both maps: where it is fixed, so is that of the difference @param {Colormap} colormap */
+  _paintDifference({ raw, restored, noise, timestamp, unit }, shared, colormap) {
     const { _differences: values, _differenceRange: range } = this;
     let peak = 0;
     for (let i = 0; i < values.length; i += 1) {
@@ -167,6 +167,7 @@ export class Maps {
       if (Math.abs(value) > peak) peak = Math.abs(value);
     }
     range.follow(peak, noise, timestamp);
+    if (!shared.auto) range.high = Math.max(Math.abs(shared.low), Math.abs(shared.high));
     range.low = -range.high;
     this.difference.paint(values, range, colormap);
     this._differenceColorbar.draw(range, colormap, unit);

@@ -23,6 +23,7 @@ import { SATURATED } from "../wire/wire.js";
  * @property {number} probeY mm
  * @property {boolean} pinned
  * @property {Contact[]|null} contacts null where they are not to be shown
+ * @property {boolean} centred the centre of pressure is marked where they are not
  * @property {Map<number, string>} labels of contacts by id, as the table has them
  * @property {Map<string, number>|null} slots of series by "contact 3": its label has the series' colour
  * @property {ContactOutline} outline of the contacts
@@ -90,7 +91,7 @@ export class Overlay {
     if (flags) this._saturated(flags, plane);
     if (Number.isFinite(marks.lineAt)) this._line(marks, plane);
     if (marks.contacts) this._contacts(marks.contacts, marks, plane);
-    else if (measures.contact) this._ring((measures.x - plane.left) * this._px, (measures.y - plane.top) * this._px, 6);
+    else if (marks.centred && measures.contact) this._ring((measures.x - plane.left) * this._px, (measures.y - plane.top) * this._px, 6);
     if (!Number.isFinite(marks.probeX)) return;
     const x = (marks.probeX - plane.left) * this._px;
     const y = (marks.probeY - plane.top) * this._px;
@@ -108,7 +109,7 @@ export class Overlay {
    */
   _same(marks, measures, crossed) {
     const last = this._last;
-    const ringed = !marks.contacts && measures.contact;
+    const ringed = !marks.contacts && marks.centred && measures.contact;
     const ringX = ringed ? measures.x : NaN;
     const ringY = ringed ? measures.y : NaN;
     if (last.known && !crossed && last.contacts === marks.contacts && last.labels === marks.labels && last.names === marks.names && last.slots === marks.slots && last.outlined === marks.outlined && last.pinned === marks.pinned
@@ -220,6 +221,10 @@ export class Overlay {
     if (this.isLabelled(x, y, half, rise)) return false;
     this._labels.push({ x, y, half });
     const draw = this._pen;
+    const ink = draw.fillStyle;
+    draw.fillStyle = "rgb(0 0 0 / 50%)"; // lines of regions run behind it
+    draw.fillRect(x - half, y - rise, 2 * half, 2 * rise);
+    draw.fillStyle = ink;
     draw.lineWidth = 3.5 * this._ratio;
     draw.strokeStyle = "rgb(0 0 0 / 85%)";
     draw.strokeText(text, x, y);

@@ -5,23 +5,27 @@ import { notice, withdraw } from "../shell/notice.js";
 /** @import { Shape } from "../wire/api.js" */
 /** @import { Heatmap } from "./heatmap.js" */
 
+const KEYS = "With keys: P and Alt with arrows move a cross, Enter takes its place as a corner";
 const HINTS = {
-  rectangle: "Drag on a map, or click a cell.", ellipse: "Drag on a map, or click a cell.",
-  polygon: "Click the corners on a map; the first one again, or Enter, closes the polygon.",
+  rectangle: `Drag on a map, or click a cell. ${KEYS}.`, ellipse: `Drag on a map, or click a cell. ${KEYS}.`,
+  polygon: `Click the corners on a map; the first one again, or Enter, closes the polygon. ${KEYS}, and closes it at the same place.`,
 };
 const CLOSE_PX = 10; // from the first corner, where a click closes a polygon; a finger may be twice as far off
 
 export class RegionDrawing {
   /**
    * @param {Heatmap[]} maps
+   * @param {() => [number, number]|null} probe mm, the place that is pinned
    * @param {() => void} onChange what is being drawn is another
    * @param {(shape: Shape, points: [number, number][]) => void} onDone it is drawn
    */
-  constructor(maps, onChange, onDone) {
+  constructor(maps, probe, onChange, onDone) {
     /** @type {Shape|null} what is being drawn; null for nothing */
     this.shape = null;
     /** @type {[number, number][]} mm */
     this.points = [];
+    this._probe = probe;
+    this._taken = ""; // place of the probe that is no new corner
     this._onChange = onChange;
     this._onDone = onDone;
     for (const map of maps) this._listen(map);
@@ -32,6 +36,7 @@ export class RegionDrawing {
   start(shape) {
     this.shape = shape;
     this.points = [];
+    this._taken = String(this._probe());
     document.body.classList.add("drawing");
     notice(HINTS[shape]);
     this._onChange();
@@ -110,8 +115,18 @@ export class RegionDrawing {
     if (!this.shape || (event.key !== "Escape" && event.key !== "Enter")) return;
     event.stopPropagation();
     event.preventDefault();
-    if (event.key === "Enter") this.end();
-    else this.stop();
+    const place = this._probe();
+    if (event.key !== "Enter") this.stop();
+    else if (place && (!this.points.length || String(place) !== this._taken)) this._corner(place);
+    else this.end();
+  }
+
+  /** @param {[number, number]} place mm, of the probe */
+  _corner(place) {
+    this._taken = String(place);
+    this.points.push(place);
+    if (this.shape !== "polygon" && this.points.length > 1) this._finish();
+    else this._onChange();
   }
 
   _finish() {

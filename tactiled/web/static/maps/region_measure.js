@@ -34,8 +34,8 @@ function inPolygon(points, x, y) {
   return inside;
 }
 
-/** @param {number[]} region cells @param {Frame} frame @param {Cells} cells @returns {RegionMeasures|null} null where a cell is unknown */
-export function measureRegion(region, { restored, noise, noiseGain, unit }, { area }) {
+/** @param {number[]} region cells @param {Frame} frame @param {Cells} cells @returns {RegionMeasures|null} null where a cell is unknown; of the highest of each cell, which were never there together, the peak alone */
+export function measureRegion(region, { restored, noise, noiseGain, unit, highest }, { area }) {
   const clear = CONTACT_DEVIATIONS * (noise || 0) * Math.max(1, noiseGain || 0);
   if (!region.length || region.some((i) => restored[i] !== restored[i])) return null;
   let [sum, size, peak, pressed] = [0, 0, -Infinity, 0];
@@ -45,5 +45,6 @@ export function measureRegion(region, { restored, noise, noiseGain, unit }, { ar
     peak = Math.max(peak, restored[i]);
     if (restored[i] > clear) pressed += area[i];
   }
+  if (highest) return { force: NaN, mean: NaN, peak, area: NaN };
   return { force: sum * FORCE_SCALES[unit], mean: sum / size, peak, area: pressed };
 }

@@ -21,6 +21,7 @@ import { FORCE_UNITS, forceNumber, forceText, pressureText, unitOf, unitOfQuanti
 /** @import { Viewer } from "../shell/viewer.js" */
 
 const POLL_MS = 250;
+const RETRY_MS = 2000;
 const CHART_POINTS = 600;
 const MAX_GAP_S = 1; // between two values that the line joins, as in the service's integrals
 const QUIET_MS = 60_000; // after a notice of a threshold that is exceeded again and again
@@ -42,7 +43,7 @@ export class Regions {
     this._owner = ""; // sensor of the region in the dialog
     const { raw, restored } = viewer.maps;
     this._layers = [raw, restored].map((each) => new RegionLayer(each.frame));
-    this._drawing = new RegionDrawing([raw, restored], () => this._draw(), (shape, points) => this._drawn(shape, points));
+    this._drawing = new RegionDrawing([raw, restored], () => viewer.probe.pinned ? [viewer.probe.x, viewer.probe.y] : null, () => this._draw(), (shape, points) => this._drawn(shape, points));
     this._body = /** @type {HTMLTableSectionElement} */ (byId("regions").querySelector("tbody"));
     this._dialog = /** @type {HTMLDialogElement} */ (byId("region"));
     this._name = /** @type {HTMLInputElement} */ (byId("region-name"));
@@ -55,16 +56,20 @@ export class Regions {
     this._plotting = Promise.resolve();
     /** @type {{shape: Shape, points_mm: [number, number][], name?: string}|null} in the dialog */
     this._chosen = null;
+    this._nextAt = 0; // ms, of the next look
     this._still = ""; // what the dialog's chart shows of a pause: it stands still then
     for (const shape of SHAPES) byId(`region-${shape}`).addEventListener("click", () => this._toggle(shape));
-    byId("region-save").addEventListener("click", () => this._save());
+    byId("region-form").addEventListener("submit", (event) => {
+      event.preventDefault();
+      this._save();
+    });
     byId("region-delete").addEventListener("click", (event) => confirmed(/** @type {HTMLButtonElement} */ (event.currentTarget)) && this._act("Not deleted", (name) => api.removeRegion(this._owner, name), true));
     byId("region-reset").addEventListener("click", () => this._act("Not reset", (name) => api.resetRegion(this._owner, name), false));
     byId("region-close").addEventListener("click", () => this._dialog.close());
     this._span.addEventListener("change", () => this._plot());
     this._limit.addEventListener("change", () => this._showLimit());
-    this._above.addEventListener("input", () => this._above.setCustomValidity(""));
-    setInterval(() => this._poll(), POLL_MS);
+    for (const each of [this._above, this._below]) each.addEventListener("input", () => [this._above, this._below].forEach((field) => field.setCustomValidity("")));
+    setInterval(() => this._look(), POLL_MS);
   }
 
   /** Draw a shape on the maps, which come into view, or no longer. @param {Shape} shape */
@@ -90,21 +95,35 @@ export class Regions {
     this._draw();
   }
 
+  /** Look for changes, one look after the other, and not often at a service that does not answer. */
+  async _look() {
+    if (performance.now() < this._nextAt) return;
+    this._nextAt = Infinity;
+    let answered = false;
+    try {
+      answered = await this._poll();
+    } finally {
+      this._nextAt = performance.now() + (answered ? 0 : RETRY_MS);
+    }
+  }
+
+  /** @returns {Promise<boolean>} the service answers, as far as is known */
   async _poll() {
     const { name } = this._viewer;
-    if (document.hidden || byId("main").hidden) return;
+    if (document.hidden || byId("main").hidden) return true;
     if (name !== this._sensor) this._take(name, []);
-    if (!name) return;
+    if (!name) return true;
     try {
       const regions = await api.regions(name);
       if (name === this._viewer.name) this._take(name, regions);
     } catch {
-      return; // the page says already that the service does not answer
+      return false; // the page says already that the service does not answer
     }
     if (this._dialog.open) {
       this._showLimit();
       await this._plot();
     }
+    return true;
   }
 
   /** @returns {string} what differs where a region is another */
@@ -241,7 +260,7 @@ export class Regions {
     for (const each of this._dialog.querySelectorAll(".limit-unit")) setText(each, unitText);
     const cells = session?.plane.restored;
     const now = this._chosen && frame && cells && measureRegion(cellsIn(this._chosen, cells), frame, cells);
-    setText(byId("region-now"), now ? `Now it is ${quantity === "force" ? forceNumber(now.force, unit) : number(now[quantity])} ${unitText}.` : "");
+    setText(byId("region-now"), now && !Number.isNaN(now[quantity]) ? `Now it is ${quantity === "force" ? forceNumber(now.force, unit) : number(now[quantity])} ${unitText}.` : "");
   }
 
   async _save() {
@@ -255,6 +274,11 @@ export class Regions {
       return;
     }
     const below = this._below.value ? { below: this._below.valueAsNumber } : {};
+    if (quantity && Number(below.below) > above) {
+      this._below.setCustomValidity("Give a value that is not above the one that alerts.");
+      this._below.reportValidity();
+      return;
+    }
     const threshold = quantity ? { quantity, above, ...below } : null;
     const { shape, points_mm } = chosen;
     if (chosen.name === undefined && this._regions.some((each) => each.name === name)) {

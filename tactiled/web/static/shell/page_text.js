@@ -22,7 +22,7 @@ import { BAD, BELOW_ZERO, DEAD, FAULTY, MISSING, OUT_OF_RANGE, SATURATED, SHEAR 
 const FLAG_NAMES = /** @type {const} */ ([[DEAD, "dead"], [BAD, "bad"], [MISSING, "missing"], [SATURATED, "saturated"], [OUT_OF_RANGE, "beyond the calibrated range"], [FAULTY, "faulty"], [BELOW_ZERO, "far below zero"]]);
 const PILL_TEXTS = { live: "live", down: "bus down", connecting: "connecting", disconnected: "disconnected", silent: "silent", stale: "stale", ended: "end of recording", playback: "recording" };
 const CURRENT_LEVELS = new Set(["live", "ended", "playback"]); // at which what is shown is what it should be
-const HINTS = { flat: "Point at a map to read it, click to pin (rows, columns from 0).", surface: "Drag to turn, or use the arrow keys on a surface." };
+const HINTS = { flat: "Point at a map to read it, press to pin (rows, columns from 0).", surface: "Drag to turn, or use the arrow keys on a surface." };
 /** @type {Health} */
 const UNREACHABLE = { level: "disconnected", title: "DISCONNECTED", text: "The service does not answer. Retrying." };
 
@@ -70,9 +70,8 @@ export class PageText {
     this.range(viewer.range);
     this._units(session ? viewer.unit : -1);
     const { contactsOfFrame } = viewer;
-    const { count = 0 } = session?.plane?.raw ?? {};
     viewer.label(contactsOfFrame?.contacts ?? []);
-    this.contacts.show(contactsOfFrame?.contacts ?? null, viewer.contacts, count, frame?.ofRaw.unknown ?? 0, viewer.unit, paused, viewer.charted);
+    this.contacts.show(contactsOfFrame?.contacts ?? null, viewer.contacts, viewer.held.text, frame && session ? noContact(frame, session.plane) : "", viewer.unit, paused, viewer.charted);
     const offset = paused && contactsOfFrame && frame ? timeOffset(contactsOfFrame, frame) : "";
     setText(this._contactsOf, offset ? `from ${offset}` : "in the restored image");
     setText(byId("restored-sub"), viewer.held.text || (offset ? `contacts from ${offset}` : "pressure on the cover"));
@@ -190,6 +189,14 @@ export class PageText {
  */
 function probeText({ session, probe: { x, y }, view }, frame) {
   return frame && session && Number.isFinite(x) ? reading(session.plane, frame, x, y, view.name === "difference") : "";
+}
+
+/** @param {Frame} frame @param {Plane} plane @returns {string} what it means that no contact was found in it */
+function noContact({ ofRaw, ofRestored }, { raw, restored }) {
+  if (ofRaw.unknown >= raw.count) return "No taxel has data";
+  if (ofRestored.unknown >= restored.felt) return "Nothing is known of contacts";
+  if (ofRestored.unknown) return `No contact on the ${restored.felt - ofRestored.unknown} of ${restored.felt} cells that are known`;
+  return ofRaw.unknown ? `No contact on the ${raw.count - ofRaw.unknown} of ${raw.count} taxels with data` : "No contact";
 }
 
 /**

@@ -98,7 +98,7 @@ export class Viewer {
     /** Whether anybody can see the cross-section. */
     this.sectionSeen = true;
     /** @type {Marks} */
-    this.marks = { along: "x", lineAt: NaN, probeX: NaN, probeY: NaN, pinned: false, contacts: null, labels: new Map(), slots: null, outline: new ContactOutline(), outlined: -1, names: [] };
+    this.marks = { along: "x", lineAt: NaN, probeX: NaN, probeY: NaN, pinned: false, contacts: null, centred: false, labels: new Map(), slots: null, outline: new ContactOutline(), outlined: -1, names: [] };
     this._selection = 0; // counts up, so that an answer for a sensor left meanwhile is dropped
     this._fresh = false; // a frame came that is not painted yet
     this._dirty = false;
@@ -235,6 +235,7 @@ export class Viewer {
     marks.pinned = probe.pinned;
     marks.slots = this.charted;
     const contacts = this.contactsOfFrame?.contacts ?? null;
+    marks.centred = !this.contacts || this.held.kind !== "now";
     if (contacts !== this._found) marks.contacts = contacts?.slice(0, MAX_ROWS) ?? null;
     this._found = contacts;
     for (const each of marks.contacts ?? []) if (!marks.labels.has(each.id)) marks.labels.set(each.id, this._labelOf(each)); // a new one

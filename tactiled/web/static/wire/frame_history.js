@@ -37,6 +37,7 @@ const GAP_S = 1; // between two frames, from which on no line joins their values
  * @property {boolean} sheared both came with it
  * @property {Measures} ofRaw
  * @property {Measures} ofRestored
+ * @property {boolean} [highest] it has the highest of each cell in many images, which were never there together
  */
 
 /** The forces of frames over ten minutes, in rings. */
