@@ -18,7 +18,7 @@ from tactiled.errors import ConfigError
 from tactiled.live.service import Service
 from tactiled.live.state_file import StateFile
 from tactiled.messages.foxglove import need
-from tactiled.plausibility.settings import Finding, config_findings, refused_codecs, unedited
+from tactiled.plausibility.settings import Finding, config_findings, refused, unedited
 from tactiled.plausibility.traffic import bus_report
 
 EXIT_DOUBTFUL = 1
@@ -69,11 +69,13 @@ def findings_of(config: Path) -> list[Finding]:
             raise
         other, replaced = meant
         _print([each for each in config_findings(other) if not each.rests_on(replaced)])
-        faults = [
-            f"{config}: {each}" for each in (*faults_between_sections(other), *refused_codecs(other, replaced))
-        ]
+        faults = [f"{config}: {each}" for each in (*faults_between_sections(other), *refused(other, replaced))]
         raise ConfigError("\n".join(dict.fromkeys([*str(error).splitlines(), *faults]))) from error
-    return unedited(config.read_text("utf-8")) + config_findings(settings)
+    findings = unedited(config.read_text("utf-8")) + config_findings(settings)
+    if faults := [f"{config}: {each}" for each in refused(settings)]:
+        _print(findings)
+        raise ConfigError("\n".join(faults))
+    return findings
 
 
 def _print(findings: list[Finding]) -> None:

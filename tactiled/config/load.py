@@ -48,7 +48,7 @@ def load(path: Path) -> Config:
 def load_as_meant(path: Path) -> tuple[Config, tuple[str, ...]] | None:
     """Read a file, its numbers past their bounds as they may have been meant, and give the places of these.
 
-    None where it has other faults.
+    Sensors with other faults are left out; None where there are faults elsewhere, or no sensor is left.
     """
     data = _parse(_read(path), str(path))
     context = {"folder": path.parent}
@@ -56,13 +56,16 @@ def load_as_meant(path: Path) -> tuple[Config, tuple[str, ...]] | None:
         return Config.model_validate(data, context=context), ()
     except ValidationError as error:
         faults = error.errors()
+    past = [fault for fault in faults if "meant" in fault.get("ctx", {})]
+    left_out = {fault["loc"][1] for fault in faults if fault not in past and fault["loc"][0] == "sensor"}
     try:
-        for fault in faults:
+        for fault in past:
             *tables, key = fault["loc"]
             table: Any = functools.reduce(_in_table, tables, data)
             table[key] = fault["ctx"]["meant"]
-        return Config.model_validate(data, context=context), tuple(_place(fault["loc"]) for fault in faults)
-    except (ValidationError, LookupError, TypeError):
+        data["sensor"] = {name: each for name, each in data["sensor"].items() if name not in left_out}
+        return Config.model_validate(data, context=context), tuple(_place(fault["loc"]) for fault in past)
+    except (ValidationError, LookupError, TypeError, AttributeError):
         return None
 
 

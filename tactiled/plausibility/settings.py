@@ -5,9 +5,10 @@ a table of real skins and one of slips.
 """
 
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -15,10 +16,13 @@ from tactiled.bounds import slips
 from tactiled.build import make_array, make_calibration, make_codec
 from tactiled.bus.codec import Codec, whole_counts
 from tactiled.bus.codecs.dbc import Dbc
-from tactiled.calibrate.counts.calibration import Calibration
+from tactiled.calibrate.counts.calibration import Calibration, Calibrator
 from tactiled.config import schema
 from tactiled.errors import TactileError
 from tactiled.geometry import Array, grid
+from tactiled.restore.methods import named
+
+T = TypeVar("T")
 
 MIN_RUBBER_MM, MIN_PLASTIC_MM = 0.03, 0.003  # a coat of paint is 0.03 to 0.05 mm; parylene coats are 0.005 mm
 PLASTIC_MPA = 100.0  # Young's modulus: Shore A ends at about 50 MPa (Gent 1958), polyethylene begins at 200 MPa
@@ -78,21 +82,28 @@ def config_findings(config: schema.Config) -> list[Finding]:
     return findings
 
 
-def refused_codecs(config: schema.Config, but: Iterable[str] = ()) -> Iterator[str]:
-    """Why codecs of a configuration cannot be made; not of those that rest on any of some dotted keys."""
+def refused(config: schema.Config, but: Iterable[str] = ()) -> Iterator[str]:
+    """Why sensors of a configuration cannot be made, before any cover is solved; not what rests on keys `but`."""
     for name, sensor in config.sensor.items():
         wrong = {each.split(".")[2] for each in but if each.startswith(f"sensor.{name}.")}
-        try:
-            make_array(sensor)
-        except TactileError as error:
-            if "array" not in wrong:
-                yield f"sensor.{name}: {error}"
-            continue
-        try:
-            make_codec(sensor)
-        except TactileError as error:
-            if "codec" not in wrong:
-                yield f"sensor.{name}: {error}"
+        faults: dict[str, TactileError] = {}
+        array = _attempt("array", faults, make_array, sensor)
+        if array is not None:
+            _attempt("codec", faults, make_codec, sensor)
+            calibration = _attempt("calibration", faults, make_calibration, sensor)
+            if calibration is not None:
+                _attempt("calibration", faults, Calibrator, calibration, array.size)
+        _attempt("method", faults, named, sensor.method)
+        yield from (f"sensor.{name}: {error}" for table, error in faults.items() if table not in wrong)
+
+
+def _attempt(table: str, faults: dict[str, TactileError], make: Callable[..., T], *of: Any) -> T | None:
+    """What is made of settings; None, with the error in `faults` by their table, where that is refused."""
+    try:
+        return make(*of)
+    except TactileError as error:
+        faults[table] = error
+        return None
 
 
 def unedited(text: str) -> list[Finding]:

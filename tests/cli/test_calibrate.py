@@ -99,7 +99,7 @@ def test_a_weight_is_printed_with_the_pressure_at_the_counts_that_it_reached(bag
     ).groups()
     assert float(reach) == pytest.approx(kpa.max(), rel=0.02)
     assert float(reach) == pytest.approx(0.02 * float(counts), rel=0.02)
-    assert load == "0.05"
+    assert load == "0.0500"
     assert "known force (N)" in chart.read_text()
     assert "check the unit" not in output
     grams = succeed("calibrate", "gain", log, *arguments, "--weight-n", 5.1)

@@ -76,6 +76,19 @@ def test_a_wrong_codec_or_bus_hides_nothing_that_is_doubtful(palm):
         assert fault in texts[at]
 
 
+def test_every_fault_of_a_file_is_named_at_once(palm):
+    path = palm("base_id = 0x500", "base_id = 0x900")
+    text = path.read_text().replace('method = "auto"', 'method = "best"')
+    text = text.replace("no_load = 80", "no_load = 80\ndead = [99]")
+    path.write_text(f'{text}\n[sensor.tip]\nbus = "can0"\ncodec = {{ name = "packd" }}\narray = {{ rows = 4 }}\n')
+    texts = str(run("check", path).exception).splitlines()
+    assert all(each.startswith(f"{path}: ") for each in texts)
+    faults = "unknown codec 'packd'", "codec id 0x900", "dead names taxel 99", "method = 'best': no such method"
+    assert [sum(fault in each for each in texts) for fault in faults] == [1] * 4
+    path.write_text(text)
+    assert [each in str(run("check", path).exception) for each in faults] == [False, True, True, True]
+
+
 def test_no_fault_rests_on_a_value_that_is_wrong_itself(palm):
     path = palm("base_id = 0x500", "base_id = 0x30000000")
     path.write_text(path.read_text().replace("array_id = 0 ", "array_id = 20 "))

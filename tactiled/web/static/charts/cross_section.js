@@ -1,6 +1,7 @@
 /** The cross-section: pressure along a line, raw and restored. @module */
 
 import { Chart, line } from "./chart.js";
+import { byId, setText } from "../shell/dom.js";
 import { UNITS, lengthText } from "../shell/units.js";
 import { ACROSS } from "../maps/geometry.js";
 
@@ -30,6 +31,7 @@ export class CrossSection {
     this._restored = line(0, "restored");
     this._lines = [this._raw, this._restored];
     this._deviation = line(0, "restored"); // along the same cells
+    this._titled = { along: "", at: NaN, pinned: false }; // what the title says
     /** @type {Axes} */
     this._axes = { left: 0, right: 1, bottom: 0, top: 1, x: AXES.x, y: UNITS[0] };
   }
@@ -75,8 +77,17 @@ export class CrossSection {
     const floor = range.low - MARGIN * span;
     this._deep = goesBelow(this._raw, floor) || goesBelow(this._restored, floor) ? DEEP_FRAMES : Math.max(0, this._deep - 1);
     this._axes.bottom = range.low - (this._deep ? DEEP_MARGIN : MARGIN) * span;
+    this._entitle(marks, frame ? marks.lineAt : NaN);
     const probe = along === "x" ? marks.probeX : marks.probeY;
     this.chart.draw(this._axes, this._lines, probe, Number.isFinite(probe) ? `${along} ${lengthText(probe)}` : "");
+  }
+
+  /** Say in the title where the line is that is drawn. @param {Marks} marks @param {number} at mm; NaN for nowhere */
+  _entitle({ along, pinned }, at) {
+    const titled = this._titled;
+    if (titled.along === along && Object.is(titled.at, at) && titled.pinned === pinned) return;
+    Object.assign(titled, { along, at, pinned });
+    setText(byId("section-where"), Number.isFinite(at) ? `${ACROSS[along]} ${lengthText(at)}${pinned ? ", pinned" : ""}` : "");
   }
 
   /**

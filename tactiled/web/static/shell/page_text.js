@@ -4,7 +4,6 @@ import { ContactTable } from "../maps/contact_table.js";
 import { byId, setText } from "./dom.js";
 import { LATE_MS } from "./frame_rate.js";
 import { fixed, number, positionText } from "./format.js";
-import { ACROSS } from "../maps/geometry.js";
 import { CONNECTING } from "./health.js";
 import { PlaybackSession } from "../playback/playback_session.js";
 import { Readings } from "./readings.js";
@@ -74,8 +73,8 @@ export class PageText {
     this.contacts.show(contactsOfFrame?.contacts ?? null, viewer.contacts, viewer.held.text, frame && session ? noContact(frame, session.plane) : "", viewer.unit, paused, viewer.charted);
     const offset = paused && contactsOfFrame && frame ? timeOffset(contactsOfFrame, frame) : "";
     setText(this._contactsOf, offset ? `from ${offset}` : "in the restored image");
-    setText(byId("restored-sub"), viewer.held.text || (offset ? `contacts from ${offset}` : "pressure on the cover"));
-    this._section(viewer, frame);
+    setText(byId("restored-sub"), viewer.held.text || (offset ? `contacts from ${offset}` : frame?.method === "raw" ? "not restored: as measured" : "pressure on the cover"));
+    this._section(viewer);
   }
 
   /** @param {string} text what is shown; "" for one image */
@@ -91,12 +90,9 @@ export class PageText {
     for (const each of this._forces) setText(each, FORCE_UNITS[unit] ?? "");
   }
 
-  /** @param {Viewer} viewer @param {Frame|null} frame */
-  _section(viewer, frame) {
-    const { along, lineAt } = viewer.marks;
-    const known = frame && Number.isFinite(lineAt);
-    const where = known ? `${ACROSS[along]} ${lengthText(lineAt)}${viewer.probe.pinned ? ", pinned" : ""}` : "";
-    setText(byId("section-where"), where);
+  /** @param {Viewer} viewer */
+  _section(viewer) {
+    const { along } = viewer.marks;
     const { banded } = viewer.section;
     const drawn = `${along} ${banded}`;
     if (this._along === drawn) return;
