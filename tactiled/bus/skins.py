@@ -117,10 +117,12 @@ def _fault(fault: ErrorDetails, redact: Callable[[str], str]) -> str:
     """One fault of a setting in words; its value where that is a number, or its name says that it is no secret."""
     place, value, why = ".".join(map(str, fault["loc"])), fault["input"], reason(fault)
     why = why if fault["type"] in PYDANTICS else redact(why)  # whose words have no value in them
-    if fault["type"] in ("missing", "unexpected_keyword_argument"):
+    if not place:
+        return why
+    if fault["type"] in ("missing", "unexpected_keyword_argument") or isinstance(value, dict | list):
         return f"{place}: {why}"
-    (text,) = show([*seal({place: value}).values()]) if not isinstance(value, dict | list) else ("",)
-    return f"{place}{text and ' = '}{text}: {why}"
+    (text,) = show([*seal({place: value}).values()])
+    return f"{place} = {text}: {why}"
 
 
 def redacted(name: str, skin: Skin) -> dict[str, Any]:

@@ -213,8 +213,9 @@ def test_a_packages_texts_are_secrets_that_it_alone_gets(install, error, where):
     printed = {"name": "my-skin", "base_id": 0x120, "api_key": "hidden", "url": "hidden", "rate": 5}
     assert one.model_dump(mode="json")["codec"] == printed
     assert "hush" not in repr(one) + one.model_dump_json() + str(one.model_dump())
-    with pytest.raises(ConfigError, match="wrong key hidden"):
+    with pytest.raises(ConfigError, match="wrong key hidden") as caught:
         make_codec(sensor(table + "6"))
+    assert "= hidden" not in str(caught.value)  # as if it were a value of the whole table
 
 
 def test_an_icub_board_knows_its_positions_and_the_sign_of_its_counts():
