@@ -14,7 +14,8 @@ let timer = 0;
  */
 export function notice(text, bad = false, action = null) {
   const box = byId("notice");
-  (document.querySelector("dialog:modal") ?? document.body).append(box); // what is beside an open dialog is out of reach
+  const open = document.activeElement?.closest("dialog:modal") ?? document.querySelector("dialog:modal");
+  (open ?? document.body).append(box); // what is beside an open dialog is out of reach
   box.replaceChildren(text);
   if (action) {
     const button = element("button", "", action.name);
