@@ -41,7 +41,7 @@ def test_what_waited_while_the_page_was_hidden_is_not_painted(pair, open_page, w
         page.refreshed(4)
         page.evaluate(HIDE)
         rig.both(pressed(5))
-        page.wait_for_timeout(2000 + 300 * attempt)  # of which a busy machine may take one to make the image
+        page.wait_for_timeout(5000 + 300 * attempt)  # of which a busy page takes some for the way of its images
         page.evaluate("window.show()")
         page.refreshed(4)
         if ((after := page.pixels("map")) == before).all():
