@@ -24,7 +24,7 @@ COUNT = pytest.StashKey[int]()
 def pytest_collection_modifyitems(config, items):
     mine = [item for item in items if FOLDER in item.path.parents]
     for item in mine:
-        item.add_marker(pytest.mark.timeout(300))
+        item.add_marker(pytest.mark.timeout(900))
         if not HAS_VCAN:
             item.add_marker(pytest.mark.skip(reason="this kernel has no vcan0 and vcan1"))
     config.stash[COUNT] = len(mine)
@@ -97,7 +97,7 @@ def link():
 
 @pytest.fixture
 def until():
-    def wait(true, seconds=120.0):
+    def wait(true, seconds=240.0):
         end = time.monotonic() + seconds
         while not (value := true()):
             assert time.monotonic() < end, "it did not happen in time"

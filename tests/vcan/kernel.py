@@ -4,7 +4,7 @@
 
 The command finds `vcan0` (classic), `vcan1` (CAN FD) and `lo` up and no other network; it runs as root, in the
 current directory, with the current environment but TMPDIR, which is in memory there. Its output is printed as it
-comes and its exit status returned; 124: it took longer than VCAN_TIMEOUT (s, 600 by default); 125: the kernel did
+comes and its exit status returned; 124: it took longer than VCAN_TIMEOUT (s, 1800 by default); 125: the kernel did
 not start.
 
 The kernel is Debian's package user-mode-linux: Linux as an ordinary process, which needs no privilege.
@@ -97,7 +97,7 @@ def _boot(home: Path) -> bool:
     kernel = ["linux.uml", f"mem={MEMORY_BYTES}", f"init={home}/init", f"uml_dir={home}/", *BOOT]
     memory = "/dev/shm" if shutil.disk_usage("/dev/shm").free > MEMORY_BYTES else "/tmp"
     environment = os.environ | {"TMPDIR": memory} | _registers(home)
-    end = time.monotonic() + float(os.environ.get("VCAN_TIMEOUT", "600"))
+    end = time.monotonic() + float(os.environ.get("VCAN_TIMEOUT", "1800"))
     (home / "output").touch()
     with (home / "boot").open("wb") as log, (home / "output").open("rb") as output:
         running = subprocess.Popen(

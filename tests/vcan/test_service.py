@@ -8,7 +8,7 @@ from tactiled.bus import recording
 from tactiled.config.example import GRASP
 from tests.cli.commands import TACTILED
 from tests.cli.test_reload import started
-from tests.conftest import ask
+from tests.conftest import BUSY_S, ask
 from tests.skin import PALM
 from tests.web.ws.clients import images, stream
 
@@ -26,15 +26,15 @@ def slower(log, folder):
 
 def test_two_skins_on_two_buses_reach_http_and_websocket(run, until, link, tmp_path):
     config = tmp_path / "two.toml"
-    config.write_text(CONFIG.replace('method = "', 'stale_after_s = 5\nmethod = "'))
+    config.write_text(CONFIG.replace('method = "', 'stale_after_s = 60\nmethod = "'))
 
     def fetch(path):
         return ask("GET", f"{service.url}/api/v1/sensors/{path}").json()
 
     with started(config, tmp_path) as service:
         assert fetch("palm")["clock"] == "kernel"
-        simulator = run(*TACTILED, "simulate", "--config", config, "--sensor", "palm", "--rate-hz", 10)
-        until(lambda: fetch("palm")["state"] == "live")
+        simulator = run(*TACTILED, "simulate", "--config", config, "--sensor", "palm", "--rate-hz", 5)
+        assert "press Ctrl-C" in simulator.stdout.readline()  # asking in vain would slow its start
         run("canplayer", "-l", "i", "vcan0=can0", "-I", slower(recording.path("book_2"), tmp_path))
         until(lambda: fetch("palm")["state"] == fetch("hand")["state"] == "live")
 
@@ -55,5 +55,5 @@ def test_two_skins_on_two_buses_reach_http_and_websocket(run, until, link, tmp_p
         status = until(lambda: (now := fetch("palm"))["state"] == "down" and now)
         assert "the interface is down: `ip link set" in status["detail"]
         assert fetch("hand")["state"] == "live"  # the other bus is not concerned
-        assert simulator.wait(60) == 2  # it says so, too, and ends
+        assert simulator.wait(BUSY_S) == 2  # it says so, too, and ends
         assert "the interface is down" in simulator.stdout.read()
