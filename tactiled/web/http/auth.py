@@ -18,7 +18,7 @@ from tactiled.config import Server
 from tactiled.config.schema import LOOPBACK
 from tactiled.web.http import problems, sign_in
 from tactiled.web.http.body import Body, HeldBodies
-from tactiled.web.http.headers import HEADERS, SAFE_METHODS, STRICT_TRANSPORT_SECURITY
+from tactiled.web.http.headers import HEADERS, OPENER_POLICY, SAFE_METHODS, STRICT_TRANSPORT_SECURITY
 from tactiled.web.http.limits import ConcurrencyLimit, RateLimit
 from tactiled.web.http.problems import Problem
 from tactiled.web.http.protocols import ENDS
@@ -122,8 +122,9 @@ class AccessControl:
         self._app, self._server, self._tokens = app, server, Tokens(server)
         self._rates, self._streams = rates, streams
         self._bodies = HeldBodies()
-        tls_beyond_loopback = server.tls_certificate and not server.loopback
-        self._headers = HEADERS | (STRICT_TRANSPORT_SECURITY if tls_beyond_loopback else {})
+        tls, near = bool(server.tls_certificate), server.loopback
+        self._headers = HEADERS | (OPENER_POLICY if tls or near else {})
+        self._headers |= STRICT_TRANSPORT_SECURITY if tls and not near else {}
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Serve one connection."""

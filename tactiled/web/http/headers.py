@@ -9,7 +9,8 @@ HEADERS = {
     "X-Content-Type-Options": "nosniff",
     "X-Frame-Options": "DENY",
     "Referrer-Policy": "no-referrer",
-    "Cross-Origin-Opener-Policy": "same-origin",
     "Cross-Origin-Resource-Policy": "same-origin",
 }
 STRICT_TRANSPORT_SECURITY = {"Strict-Transport-Security": "max-age=31536000"}  # a year, for all ports of the host
+# Browsers keep it, and do not complain of it, where nobody on the network can change a page.
+OPENER_POLICY = {"Cross-Origin-Opener-Policy": "same-origin"}

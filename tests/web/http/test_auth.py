@@ -196,6 +196,8 @@ def test_a_browser_keeps_to_tls_except_on_loopback(rig, tmp_path, host):
             assert answer.headers["set-cookie"].endswith("; Secure") == bool(tls)
             transport = answer.headers.get("strict-transport-security")
             assert transport == ("max-age=31536000" if tls and host == "0.0.0.0" else None)
+            plain = not tls and host == "0.0.0.0"  # where browsers complain of what they do not keep
+            assert ("cross-origin-opener-policy" in answer.headers) == (not plain)
 
 
 PAGE = "https://app.example:8443"
