@@ -1,7 +1,7 @@
 """Bounds of the numbers of the configuration, and what texts may hold, in words in the error; paths beside it."""
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, cast
@@ -20,6 +20,12 @@ def reason(fault: ErrorDetails) -> str:
     plain = {"missing": "missing", "extra_forbidden": "unknown key", "unexpected_keyword_argument": "unknown key"}
     words = fault["msg"].removeprefix("Value error, ").replace(" after validation", "")
     return plain.get(fault["type"]) or words.replace("Tuple should", "List should").replace("valid tuple", "list")
+
+
+def place(loc: Iterable[int | str]) -> str:
+    """Where a value stands, such as `array.positions_mm[0]`."""
+    named = (part for part in loc if "[" not in str(part))  # no names of types
+    return "".join(f"[{part}]" if isinstance(part, int) else f".{part}" for part in named).removeprefix(".")
 
 
 def shown(value: Any) -> str:

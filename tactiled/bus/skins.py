@@ -18,7 +18,7 @@ from pydantic import TypeAdapter, ValidationError
 from pydantic_core import ErrorDetails
 from pydantic_core.core_schema import ErrorType
 
-from tactiled.bounds import reason
+from tactiled.bounds import place, reason
 from tactiled.bus import codecs
 from tactiled.bus.assembler import unpacked
 from tactiled.bus.codec import Codec, Match, ShearCodec, Skin, Traffic, read_one
@@ -115,14 +115,14 @@ def read_settings(name: str, table: Mapping[str, Any], folder: Path) -> Skin:
 
 def _fault(fault: ErrorDetails, redact: Callable[[str], str]) -> str:
     """One fault of a setting in words; its value where that is a number, or its name says that it is no secret."""
-    place, value, why = ".".join(map(str, fault["loc"])), fault["input"], reason(fault)
+    at, value, why = place(fault["loc"]), fault["input"], reason(fault)
     why = why if fault["type"] in PYDANTICS else redact(why)  # whose words have no value in them
-    if not place:
+    if not at:
         return why
     if fault["type"] in ("missing", "unexpected_keyword_argument") or isinstance(value, dict | list):
-        return f"{place}: {why}"
-    (text,) = show([*seal({place: value}).values()])
-    return f"{place} = {text}: {why}"
+        return f"{at}: {why}"
+    (text,) = show([*seal({at: value}).values()])
+    return f"{at} = {text}: {why}"
 
 
 def redacted(name: str, skin: Skin) -> dict[str, Any]:

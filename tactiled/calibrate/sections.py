@@ -18,7 +18,7 @@ from pydantic import (
 )
 
 from tactiled.arrays import Floats, Reals
-from tactiled.bounds import Syntax, reason
+from tactiled.bounds import Syntax, place, reason
 from tactiled.calibrate.counts.curves import Curves, Form
 from tactiled.calibrate.counts.hysteresis import Loop
 from tactiled.calibrate.cover.fit import CoverFit, Method
@@ -266,10 +266,10 @@ def build(table: type[Made], **values: Any) -> Made:
 def error_line(error: ValidationError) -> str:
     """The first error in one line: the place, the value, what is wrong with it."""
     first = error.errors()[0]
-    place = "".join(f"[{each}]" if isinstance(each, int) else f".{each}" for each in first["loc"]).lstrip(".")
+    at = place(first["loc"])
     if first["type"] in ("value_error", "missing", "extra_forbidden"):  # of a whole table, or of none
-        return f"{place}: {reason(first)}" if place else reason(first)
-    return f"{place} = {first['input']!r:.60}: {reason(first)}"
+        return f"{at}: {reason(first)}" if at else reason(first)
+    return f"{at} = {first['input']!r:.60}: {reason(first)}"
 
 
 def _attempt(make: Callable[[], object]) -> None:

@@ -5,7 +5,7 @@ import functools
 import re
 import ssl
 import tomllib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import fields
 from itertools import combinations
 from pathlib import Path
@@ -15,7 +15,7 @@ from pydantic import BaseModel, Field, ValidationError
 from pydantic_core import ErrorDetails
 
 from tactiled import logs
-from tactiled.bounds import Name
+from tactiled.bounds import Name, place, reason
 from tactiled.bus import skins
 from tactiled.bus.redact import Secret, seal, show
 from tactiled.config import schema
@@ -64,7 +64,7 @@ def load_as_meant(path: Path) -> tuple[Config, tuple[str, ...]] | None:
             table: Any = functools.reduce(_in_table, tables, data)
             table[key] = fault["ctx"]["meant"]
         data["sensor"] = {name: each for name, each in data["sensor"].items() if name not in left_out}
-        return Config.model_validate(data, context=context), tuple(_place(fault["loc"]) for fault in past)
+        return Config.model_validate(data, context=context), tuple(place(fault["loc"]) for fault in past)
     except (ValidationError, LookupError, TypeError, AttributeError):
         return None
 
@@ -150,30 +150,22 @@ def _check_depth(value: Any, depth: int) -> None:
 
 def _line(fault: ErrorDetails) -> str:
     """One line: the place, the value, what is wrong with it."""
-    place, message, value = _place(fault["loc"]), fault["msg"].removeprefix("Value error, "), fault["input"]
-    message = message.replace("a valid tuple", "a list")
+    at, message, value = place(fault["loc"]), reason(fault), fault["input"]
     if fault["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
-        return f"{place}: unknown key{_suggestion(*fault['loc'])}"
+        return f"{at}: {message}{_suggestion(*fault['loc'])}"
     if fault["loc"][-1:] == ("[key]",):
-        return f"{_place(fault['loc'][:-2])}: name {_cut(value)}: {message}"
-    if fault["type"] == "missing":
-        return f"{place}: missing"
-    if not place:
+        return f"{place(fault['loc'][:-2])}: name {_cut(value)}: {message}"
+    if not at:
         return message
     if isinstance(value, str):  # of a secret
-        message = re.sub(r"item(s?) after validation", r"character\1", message)
-    secret = place.endswith(("_token", ".password", ".control_key"))
-    if secret or fault["type"] == "value_error":  # of a table whose values may be secrets
-        return f"{place}: {message}"
+        message = re.sub(r"\bitem(s?)\b", r"character\1", message)
+    secret = at.endswith(("_token", ".password", ".control_key"))
+    if secret or fault["type"] in ("missing", "value_error"):  # of a table whose values may be secrets
+        return f"{at}: {message}"
     if isinstance(value, dict | list) or fault["type"] == "model_type":  # not one value of a known key
         (value,) = show([*seal({"": value}).values()])
     shown = hex(value) if isinstance(value, int) and message.startswith("give 0x") else _cut(value)
-    return f"{place} = {shown}: {message}"
-
-
-def _place(loc: Sequence[int | str]) -> str:
-    parts = [f"[{part}]" if isinstance(part, int) else f".{part}" for part in loc]
-    return "".join(parts).lstrip(".")
+    return f"{at} = {shown}: {message}"
 
 
 def _suggestion(*loc: int | str) -> str:

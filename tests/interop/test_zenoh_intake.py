@@ -56,7 +56,7 @@ WRONG_GEOMETRIES = {
     "restored: 6000 x 6000 cells: give 262144 at most": {"restored": CELLS | {"rows": 6000, "columns": 6000}},
     "restored: 12 x 8 cells do not fit 4 x 4 taxels": {"restored": CELLS | {"rows": 12, "columns": 8}},
     "raw: 4 x 4 cells do not fit 15 positions": {"positions_mm": GEOMETRY["positions_mm"][1:]},
-    "shape.0 = 0: give 1 to 1024": {"shape": [0, 4]},
+    "shape[0] = 0: give 1 to 1024": {"shape": [0, 4]},
     "pitch_mm = nan: give 0.01 to 1000 mm": {"pitch_mm": float("nan")},
     "array width is 1.5 mm: apertures overlap": {"aperture_mm": 1.5},
     "geometry: ": {"shape": None, "positions_mm": [[0.0, 0.0]] * 4, "raw": LINE, "restored": LINE},
@@ -105,7 +105,7 @@ def test_a_wrong_message_makes_its_sensor_stale_and_changes_nothing_else_until_a
         ({"raw": np.full((SIDE, SIDE), np.inf, np.float32)}, DETAIL, "a value is infinite"),
         ({"flags": np.zeros(3, np.uint8)}, DETAIL, "3 flags: one a taxel"),
         ({"restored": np.zeros((2, 2), np.float32)}, DETAIL, "restored of 4 values: its geometry has 16"),
-        ({}, DETAIL | {"warnings": [{"code": "new", "text": ""}]}, "detail: warnings.0.code = 'new'"),
+        ({}, DETAIL | {"warnings": [{"code": "new", "text": ""}]}, "detail: warnings[0].code = 'new'"),
         ({}, {}, "detail: why: missing"),
     ],
 )

@@ -131,7 +131,7 @@ def test_a_program_that_pushes_as_fast_as_it_can_waits_and_images_stay_new(servi
         ({"values": [1.0] * 15, "sequence": -1}, "sequence = -1"),
         ({"values": [1.0] * 15, "time": 1e12}, "time = 1000000000000.0"),
         ({"values": [1e31] * 15}, "values"),
-        ({"values": [1.0, "x"]}, "values.1 = 'x': "),
+        ({"values": [1.0, "x"]}, "values[1] = 'x': "),
     ],
 )
 def test_wrong_frames_are_refused(url, frame, detail):

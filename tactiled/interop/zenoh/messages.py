@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError, model_validator
 
 from tactiled import __version__, units
-from tactiled.bounds import NAME, Bounds, Name, Pitch, Place, Syntax, reason, shown
+from tactiled.bounds import NAME, Bounds, Name, Pitch, Place, Syntax, place, reason, shown
 from tactiled.diagnostics.warning_codes import WarningCode
 from tactiled.frames import Direction, FrameWarning
 from tactiled.live.events import Kind as EventKind
@@ -194,7 +194,7 @@ def first_fault(error: ValidationError) -> str:
     fault = error.errors(include_url=False, include_context=False)[0]
     is_value = fault["type"] != "missing" and not isinstance(fault["input"], dict | list)
     value = f" = {shown(fault['input']):.60}" if is_value else ""
-    line = f"{'.'.join(map(str, fault['loc'])):.100}{value}: {reason(fault):.150}"
+    line = f"{place(fault['loc']):.100}{value}: {reason(fault):.150}"
     return line.encode("unicode_escape").decode()
 
 

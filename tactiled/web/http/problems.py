@@ -9,7 +9,7 @@ from fastapi.exceptions import RequestValidationError
 from starlette.exceptions import HTTPException
 from starlette.routing import Match
 
-from tactiled.bounds import reason, shown
+from tactiled.bounds import place, reason, shown
 from tactiled.errors import (
     CalibrationStateError,
     ConfigError,
@@ -119,17 +119,17 @@ def _follows(error: Mapping[str, Any], errors: Sequence[Mapping[str, Any]]) -> b
 
     Or whether a default cannot be made of them.
     """
-    place = error["loc"]
+    outer = error["loc"]
     inside = (each["loc"] for each in errors if each is not error)
     return error["type"] == "default_factory_not_called" or (
-        error["type"] == "too_short" and any(each[: len(place)] == place for each in inside)
+        error["type"] == "too_short" and any(each[: len(outer)] == outer for each in inside)
     )
 
 
 def _describe(error: Any) -> str:
     """One validation error in a line."""
     source, *path = error["loc"]
-    path = [each for each in path if "[" not in str(each)]  # no names of types
+    at = place(path)
     if error["type"] == "json_invalid":
         return f"body: no JSON at character {path[0]}: {error['ctx']['error']}"
     if error["type"].startswith("union_tag"):
@@ -137,8 +137,8 @@ def _describe(error: Any) -> str:
         key = tags["discriminator"].strip("'")
         return f"{key} = {tags.get('tag')!r}: give {tags.get('expected_tags', 'it')}"
     value = error.get("input")
-    if source == "body" and not path:
+    if source == "body" and not at:
         return f"body{'' if value is None else f' = {shown(value)}'}: give a JSON object"
     if error["type"] == "missing":  # its input is all that stands beside it, a token as well
-        return f"{'.'.join(map(str, path))}: {reason(error)}"
-    return f"{'.'.join(map(str, path)) or source} = {shown(value)}: {reason(error)}"
+        return f"{at}: {reason(error)}"
+    return f"{at or source} = {shown(value)}: {reason(error)}"

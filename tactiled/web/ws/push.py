@@ -11,7 +11,7 @@ from pydantic import ValidationError
 from starlette.concurrency import run_in_threadpool
 from starlette.types import Message
 
-from tactiled.bounds import reason
+from tactiled.bounds import place, reason
 from tactiled.config import Server
 from tactiled.errors import BusError, ConfigError, TactileError
 from tactiled.web.http.auth import READ_ONLY, Tokens
@@ -86,6 +86,5 @@ def _of_text(text: str) -> tuple[NDArray[np.float64], int | None, float | None]:
         frame = PushedFrame.model_validate_json(text)
     except ValidationError as error:
         first = error.errors()[0]
-        place = [str(part) for part in first["loc"] if "[" not in str(part)]  # no names of types
-        raise ValueError(f"{'.'.join(place) or 'message'}: {reason(first)}") from error
+        raise ValueError(f"{place(first['loc']) or 'message'}: {reason(first)}") from error
     return as_array(frame.values), frame.sequence, frame.time
