@@ -117,7 +117,8 @@ FileBeside = Annotated[  # relative to the folder of the configuration; printed 
     PlainSerializer(lambda path: path.name, when_used="json", return_type=str),
 ]
 Port = Annotated[int, Bounds(0, 65535)]
-Counts = Annotated[float, Bounds(-1e9, 1e9, "counts")]  # 30 bits, past any sensor; float32 holds them
+MAX_READING = 1e9  # 30 bits, past any sensor; float32 holds them, and their squares
+Counts = Annotated[float, Bounds(-MAX_READING, MAX_READING, "counts")]
 Pitch = Annotated[float, Bounds(0.01, 1000.0, LENGTH)]  # from an etched sensor's taxels to a floor's tiles
 Place = Annotated[float, Bounds(-1e4, 1e4, LENGTH)]  # no skin is wider than 20 m
 NAME, FRAME_ID = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,63}$", r"^[A-Za-z0-9_][A-Za-z0-9_./-]{0,127}$"

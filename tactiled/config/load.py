@@ -5,7 +5,8 @@ import functools
 import re
 import ssl
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from dataclasses import fields
 from itertools import combinations
 from pathlib import Path
@@ -57,7 +58,8 @@ def load_as_meant(path: Path) -> tuple[Config, tuple[str, ...]] | None:
     except ValidationError as error:
         faults = error.errors()
     past = [fault for fault in faults if "meant" in fault.get("ctx", {})]
-    left_out = {fault["loc"][1] for fault in faults if fault not in past and fault["loc"][0] == "sensor"}
+    others = [fault["loc"] for fault in faults if fault not in past]
+    left_out = {loc[1] for loc in others if loc[0] == "sensor" and len(loc) > 1}
     try:
         for fault in past:
             *tables, key = fault["loc"]
@@ -137,7 +139,7 @@ def validated(model: type[Model], data: dict[str, Any], source: str, folder: Pat
     try:
         return model.model_validate(data, context={"folder": folder})
     except ValidationError as error:
-        raise ConfigError("\n".join(f"{source}: {_line(fault)}" for fault in error.errors())) from error
+        raise ConfigError("\n".join(f"{source}: {_line(fault, data)}" for fault in error.errors())) from error
 
 
 def _check_depth(value: Any, depth: int) -> None:
@@ -148,9 +150,9 @@ def _check_depth(value: Any, depth: int) -> None:
         _check_depth(each, depth - 1)
 
 
-def _line(fault: ErrorDetails) -> str:
-    """One line: the place, the value, what is wrong with it."""
-    at, message, value = place(fault["loc"]), reason(fault), fault["input"]
+def _line(fault: ErrorDetails, data: Any) -> str:
+    """One line: the place in the file's `data`, the value, what is wrong with it."""
+    at, message, value = place(_written(fault["loc"], data)), reason(fault), fault["input"]
     if fault["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
         return f"{at}: {message}{_suggestion(*fault['loc'])}"
     if fault["loc"][-1:] == ("[key]",):
@@ -166,6 +168,16 @@ def _line(fault: ErrorDetails) -> str:
         (value,) = show([*seal({"": value}).values()])
     shown = hex(value) if isinstance(value, int) and message.startswith("give 0x") else _cut(value)
     return f"{at} = {shown}: {message}"
+
+
+def _written(loc: Iterable[int | str], data: Any) -> Iterator[int | str]:
+    """A place without the number that one layer, which stands for a list of it, has not in the file."""
+    for part in loc:
+        if part == 0 and isinstance(data, dict):
+            continue
+        yield part
+        with suppress(LookupError, TypeError):
+            data = data[part]
 
 
 def _suggestion(*loc: int | str) -> str:

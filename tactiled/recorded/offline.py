@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from tactiled.arrays import Flags, Floats32
+from tactiled.bounds import MAX_READING
 from tactiled.build import SensorPlan, make_codec
 from tactiled.bus.router import Router
 from tactiled.chain import Chain
@@ -147,8 +148,9 @@ class Offline:
             with np.errstate(over="ignore"):  # beyond float32 is beyond any sensor: it counts as unknown
                 pressures = np.array(_copy(self._frames, start, PIECE_FRAMES), np.float32)
             saturated = np.where(pressures >= self._ceiling_kpa, np.uint8(SATURATED), np.uint8(0))
-            missing = np.where(np.isfinite(pressures), np.uint8(0), np.uint8(MISSING))
-            pairs = zip(pressures, saturated | missing | self._dead, strict=True)
+            unknown = np.where(np.isfinite(pressures), np.uint8(0), np.uint8(MISSING))
+            unknown |= np.where(np.abs(pressures) > MAX_READING, np.uint8(BAD), np.uint8(0))
+            pairs = zip(pressures, saturated | unknown | self._dead, strict=True)
             infos = [self._restore(pressure, flags, images[n]) for n, (pressure, flags) in enumerate(pairs)]
             yield images[: len(infos)], infos
 

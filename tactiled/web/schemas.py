@@ -5,6 +5,7 @@ from typing import Annotated, Any, Literal, Optional
 from pydantic import BaseModel, ConfigDict, Discriminator, Field, Tag, create_model
 
 from tactiled import units
+from tactiled.bounds import MAX_READING
 from tactiled.diagnostics.warning_codes import WarningCode
 from tactiled.frames import Direction, Loss
 from tactiled.live.status import State
@@ -22,7 +23,7 @@ Values = Annotated[
         examples=[[[0.0, 12.5], [3.25, None]]],
     ),
 ]
-Reading = Annotated[float, Field(ge=-1e30, le=1e30, allow_inf_nan=False)]
+Reading = Annotated[float, Field(ge=-MAX_READING, le=MAX_READING, allow_inf_nan=False)]
 MAX_TIME_S = 4e9  # Unix time: the year 2096
 Flags = Annotated[
     list[list[int]] | list[int],

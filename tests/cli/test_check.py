@@ -89,6 +89,14 @@ def test_every_fault_of_a_file_is_named_at_once(palm):
     assert [each in str(run("check", path).exception) for each in faults] == [False, True, True, True]
 
 
+@pytest.mark.parametrize("text", ["", "[server]\n", "[sensors.palm]\n"])
+def test_a_file_without_its_tables_is_refused_by_their_names(tmp_path, text):
+    (path := tmp_path / "a.toml").write_text(text)
+    for command in ("check", "run"):
+        texts = str(run(command, path).exception).splitlines()
+        assert {f"{path}: bus: missing", f"{path}: sensor: missing"} <= {*texts}
+
+
 def test_no_fault_rests_on_a_value_that_is_wrong_itself(palm):
     path = palm("base_id = 0x500", "base_id = 0x30000000")
     path.write_text(path.read_text().replace("array_id = 0 ", "array_id = 20 "))

@@ -147,6 +147,7 @@ def test_dead_saturated_and_unknown_taxels_are_ignored(config, npy):
     other = frames.copy()
     frames[:, 0, 0], frames[:, 7, 5] = 1e30, np.nan
     other[:, 0, 0], other[:, 7, 5] = -50, np.inf
+    frames[:, 2, 1], other[:, 2, 1] = 1e20, 2e9  # past any sensor
     one, two = (restored(npy(each), config(), "--noise", 0.5) for each in (frames, other))
     np.testing.assert_array_equal(one, two)
 

@@ -7,7 +7,7 @@ from tactiled.config.example import EXAMPLE
 from tactiled.errors import ConfigError
 from tactiled.plausibility.settings import unedited
 
-COVER = "sensor.palm.cover[0]"
+COVER = "sensor.palm.cover"
 
 
 @pytest.mark.parametrize(
@@ -127,6 +127,8 @@ def test_a_cover_may_be_a_list_of_layers_but_not_of_none():
     layers = f"[{COVER_TABLE}".replace("cover]", "cover]]")
     text = EXAMPLE.replace(COVER_TABLE, layers + layers.replace("1.2", "0.1"))
     assert [layer.thickness_mm for layer in parse(text).sensor["palm"].cover] == [1.2, 0.1]
+    with pytest.raises(ConfigError, match=r"sensor\.palm\.cover\[0\]\.thickness_mm = -1\.2: "):
+        parse(text.replace("1.2", "-1.2", 1))
     text = EXAMPLE.replace(COVER_TABLE, "").replace("\nmethod", "\ncover = []\nmethod")
     with pytest.raises(ConfigError, match=r"sensor\.palm\.cover = \[\]: give at least one layer"):
         parse(text)

@@ -99,6 +99,10 @@ def test_a_websocket_takes_json_and_bytes(service, url):
         np.testing.assert_array_equal(image.raw, (2 * VALUES).astype(np.float32))
         client.send(HEADER.pack(0.0, 0, 0) + VALUES.astype("<f4").tobytes())
         assert shown(service, lambda image: image.sequence == first.sequence + 9).time > 1e9
+        huge = np.where(np.arange(15).reshape(VALUES.shape) == 3, 1e20, VALUES)  # which nothing can press
+        client.send(HEADER.pack(125.5, number + 20, 1) + huge.astype("<f4").tobytes())
+        image = shown(service, lambda image: image.time == 125.5)
+        assert np.isnan(image.raw).ravel().tolist() == [taxel == 3 for taxel in range(15)]
 
 
 def test_a_recording_of_its_bus_holds_the_frame(service):
@@ -130,7 +134,7 @@ def test_a_program_that_pushes_as_fast_as_it_can_waits_and_images_stay_new(servi
         ({"values": [[1.0] * 5, [1.0] * 4]}, "values: rows of different lengths"),
         ({"values": [1.0] * 15, "sequence": -1}, "sequence = -1"),
         ({"values": [1.0] * 15, "time": 1e12}, "time = 1000000000000.0"),
-        ({"values": [1e31] * 15}, "values"),
+        ({"values": [1.1e9] * 15}, "values[0] = 1100000000.0: Input should be less than or equal to 1000000000"),
         ({"values": [1.0, "x"]}, "values[1] = 'x': "),
     ],
 )

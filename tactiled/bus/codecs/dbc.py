@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 import numpy as np
 from pydantic import Field
 
-from tactiled.bounds import FileBeside
+from tactiled.bounds import MAX_READING, FileBeside
 from tactiled.bus.codec import MessageCodec, Skin
 from tactiled.bus.codecs.packed import LENGTHS
 from tactiled.errors import CodecError, ConfigError
@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from cantools.database.can import Signal
 
 MAX_COUNT = 0xFFFF  # largest count that `_range` gives, however many bits a signal has
-MAX_FLOAT = float(np.finfo(np.float32).max)
 
 
 @dataclass(frozen=True)
@@ -68,7 +67,7 @@ class Dbc(MessageCodec):
         return list(self._parts[segment].taxels)
 
     def decode(self, message: Message) -> Reading:
-        """One message; a float that is not finite, or past float32, makes its taxel bad."""
+        """One message; a float that is not finite, or past MAX_READING, makes its taxel bad."""
         segments = self._of.get((message.id, message.extended))
         if segments is None or len(message.data) != _length(self._parts[segments[0]].layout):
             raise CodecError(f"message {message.id:#x} of {len(message.data)} bytes is not in the DBC file")
@@ -77,7 +76,7 @@ class Dbc(MessageCodec):
             part = self._parts[segment]
             if part.selector is None or raw[part.selector] == part.variant:
                 values = [raw[each.name] for each in part.signals]
-                good = [abs(value) <= MAX_FLOAT for value in values]  # False of a NaN, too
+                good = [abs(value) <= MAX_READING for value in values]  # False of a NaN, too
                 bad = tuple(taxel for taxel, ok in zip(part.taxels, good, strict=True) if not ok)
                 counts = (value if ok else 0.0 for value, ok in zip(values, good, strict=True))
                 return Reading(message.time, segment, struct.pack(f"<{len(values)}d", *counts), bad=bad)

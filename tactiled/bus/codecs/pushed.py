@@ -10,6 +10,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from tactiled.bounds import MAX_READING
 from tactiled.bus.batch import MAX_BYTES, Batch, Key
 from tactiled.bus.codec import (
     Codec,
@@ -70,7 +71,7 @@ class Pushed(Codec):
         sequences, segments = head.view("<u4")[:, 0].astype(np.int64), head.view("<u2")[:, 2].astype(np.int64)
         good = (batch.lengths == MAX_BYTES) & batch.fd & (segments < self.segments) & ~head[:, 6:].any(axis=1)
         payloads = np.ascontiguousarray(batch.data[:, HEADER:])
-        unknown = ~np.isfinite(payloads.view("<f4"))
+        unknown = ~_are_readings(payloads.view("<f4"))
         marked = np.flatnonzero(unknown.any(axis=1) & good).tolist()
         bad = {row: self._taxels_of(int(segments[row]), unknown[row]) for row in marked}
         return Readings(batch.times, segments, payloads, good, sequences, bad)
@@ -81,9 +82,9 @@ class Pushed(Codec):
         return tuple(taxels[taxels < self.taxels].tolist())
 
     def unpack(self, payloads: Sequence[bytes | None]) -> NDArray[np.float32]:
-        """The values (N,) of one frame; 0 where one is not finite, or a segment None."""
+        """The values (N,) of one frame; 0 where one is no reading, or a segment None."""
         values = np.ascontiguousarray(stacked(payloads, MAX_BYTES - HEADER)).view("<f4").ravel()[: self.taxels]
-        return np.where(np.isfinite(values), values, 0).astype(np.float32)
+        return np.where(_are_readings(values), values, 0).astype(np.float32)
 
     def encode(self, counts: Counts, sequence: int, time: float) -> list[Message]:
         """The messages of one frame (N,), NaN: unknown."""
@@ -123,6 +124,11 @@ class Settings(Skin):
             shape = squarest(codec.size, codec.size)
             note = f"array: at least {codec.size} taxels"
             yield Match({}, codec, ((ID, False),), shape, "frames that a program pushed", (note,))
+
+
+def _are_readings(values: NDArray[np.float32]) -> NDArray[np.bool_]:
+    """Which are numbers that a sensor may give: neither infinite nor NaN, nor past MAX_READING."""
+    return np.abs(values) <= MAX_READING
 
 
 SKIN = Settings
