@@ -4,7 +4,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
-from math import sqrt
+from math import exp, sqrt
 from typing import Literal
 
 from tactiled.build import SensorPlan
@@ -13,7 +13,7 @@ from tactiled.frames import Loss, RawFrame
 State = Literal["live", "stale", "silent", "down", "ended"]
 JITTER_PERIODS = 100  # from frame to frame, whose standard deviation is the jitter
 REPLAYED = "recording"  # the clock of a sensor whose bus is a recording
-MIN_RATE_WEIGHT = 0.02  # of a new period in the running mean, which else covers 1 s: at most 50 frames
+RATE_S = 1.0  # after which a period counts for 1/e in the mean
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +63,7 @@ class Health:
         self.failure: str | None = None  # why the last frame could not be restored
         self.newest: RawFrame | None = None  # in counts; its image may not be made yet
         self.period_s = 0.0  # running mean of the time between two arrivals; 0: unknown
+        self._periods = self._span_s = 0.0  # how many are in it, and their sum, each by its weight
         self._clock = clock
         self._arrived_at: float | None = None  # s, by `clock`: the newest frame
         self._jitter = _Jitter()
@@ -80,10 +81,11 @@ class Health:
             return now, False
         gap = now - before
         if gap > stale_after_s:
-            self.period_s = 0.0  # a break is no period
+            self.period_s = self._periods = self._span_s = 0.0  # a break is no period
             return now, True
-        weight = min(1.0, max(gap, MIN_RATE_WEIGHT)) if self.period_s else 1.0
-        self.period_s += (gap - self.period_s) * weight
+        kept = exp(-gap / RATE_S)
+        self._periods, self._span_s = kept * self._periods + 1, kept * self._span_s + gap
+        self.period_s = self._span_s / self._periods
         return now, False
 
     def status(self, plan: SensorPlan, loss: Loss, skipped: int, tared_at: float | None) -> Status:

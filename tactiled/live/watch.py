@@ -91,7 +91,7 @@ class Watch:
         self._silent_since = {name: at for name, at in self._silent_since.items() if name not in names}
         for key in [key for key in self._raised if key[0] in names]:
             warning, _ = self._raised.pop(key)
-            self._events.add("warning_cleared", f"no longer: {warning.text}", key[0], warning=warning)
+            self._events.add("warning_cleared", f"it was: {warning.text}", key[0], warning=warning)
 
     def _look_at_bus(self, bus: str) -> None:
         down = next(
@@ -128,7 +128,7 @@ class Watch:
         for (name, code), (warning, raised_at) in list(self._raised.items()):
             if name == sensor.name and now - raised_at > WARNING_STAYS_S:
                 del self._raised[name, code]
-                self._events.add("warning_cleared", f"no longer: {warning.text}", name, warning=warning)
+                self._events.add("warning_cleared", f"it was: {warning.text}", name, warning=warning)
 
     def _lasts(self, reported: tuple[str, str], now: float) -> bool:
         """Whether a warning that is reported `now` (s), given by sensor and code, has lasted."""

@@ -100,7 +100,7 @@ def test_a_warning_is_raised_once_per_code_and_cleared_after_a_while(plan):
     assert events_at(2.0 * WARNING_STAYS_S) == [("warning_cleared", 4)]
     raised, cleared = (each for each in watched.events.after(0) if each.warning)
     assert (raised.text, cleared.warning.code) == (raised.warning.text, "missing")
-    assert cleared.text == f"no longer: {cleared.warning.text}"
+    assert cleared.text == f"it was: {cleared.warning.text}"
     assert events_at(3.0 * WARNING_STAYS_S, 5) == [("warning_raised", 5)]
     assert events_at(9.0 * WARNING_STAYS_S) == [("sensor_stale", None), ("sensor_silent", None)]  # clear nothing
 

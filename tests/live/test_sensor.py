@@ -28,6 +28,10 @@ def test_status_is_silent_then_live_then_stale_and_down_while_the_bus_is(plan):
         timed.now += 0.01
         sensor.offer(frame(n))
     assert sensor.status().rate_hz == pytest.approx(100)  # a break is no period
+    for n in range(203, 503):  # two of three frames come late, as frames do that have lost messages
+        timed.now += (0.05, 0.09, 0.01)[n % 3]
+        sensor.offer(frame(n))
+    assert sensor.status().rate_hz == pytest.approx(20, rel=0.05)
     sensor.health.down = "bus can0: gone"
     assert (sensor.status().state, sensor.status().detail) == ("down", "bus can0: gone")
 
