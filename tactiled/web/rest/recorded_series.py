@@ -99,7 +99,8 @@ def answer(
         raise Problem(409, f"{where}: {measured} of {run.frames} frames are measured", SOON)
     file = f"{recorded.path.name.split('.')[0]}-{sensor.name}.csv"
     headers = {"Content-Disposition": f'attachment; filename="{file}"'}
-    return StreamingResponse(_csv(run.job, run.rows.of_their_own()), media_type=MEDIA["csv"], headers=headers)
+    lines = _csv(run.job, recorded, run.rows.of_their_own())
+    return StreamingResponse(lines, media_type=MEDIA["csv"], headers=headers)
 
 
 def _regions(sensor: Sensor, names: str | None) -> dict[str, Region]:
@@ -137,9 +138,11 @@ def _area(name: str, k: int, summary: Summary) -> AreaSeries:
     return AreaSeries(name=name, highest=highest, **columns)
 
 
-def _csv(job: SeriesJob, rows: SeriesRows) -> Iterator[str]:
-    """One line a frame; empty: not known."""
+def _csv(job: SeriesJob, recorded: RecordedFrames, rows: SeriesRows) -> Iterator[str]:
+    """What they are of, then one line a frame; empty: not known."""
     with closing(rows.file):
+        yield f"# recording: {recorded.path.name}\n# sensor: {job.plan.name}\n# method: {job.method}\n"
+        yield f"# calibration: {job.plan.calibration_id}\n# position_s: from the recording's first message\n"
         areas, names = (TOTAL, *job.regions), headings(job.plan.unit)
         yield csv_lines(
             [["frame", "position_s", *(f"{area}_{each}" for area in areas for each in names), MISSING_TAXELS]]

@@ -5,6 +5,7 @@ import gzip
 import os
 from contextlib import suppress
 from dataclasses import asdict, replace
+from itertools import groupby
 from pathlib import Path
 from unittest.mock import MagicMock
 
@@ -303,7 +304,9 @@ def test_a_series_has_what_an_export_has_for_every_frame_its_highest_values_and_
     assert [each["name"] for each in details["regions"]] == ["heel", "toe"]
     assert details["regions"][1]["peak"] == pytest.approx(series["regions"][1]["peak"][50])
     answer = client.get("/a.log/series", params=PALM | {"regions": "heel,toe", "format": "csv"})
-    rows = list(csv.DictReader(answer.text.splitlines()))
+    head, lines = [[*group] for _, group in groupby(answer.text.splitlines(), lambda line: line[0] == "#")]
+    assert head[:3] == ["# recording: a.log", "# sensor: palm", "# method: auto"]
+    rows = list(csv.DictReader(lines))
     assert answer.headers["content-disposition"] == 'attachment; filename="a-palm.csv"'
     assert list(rows[0])[:3] == ["frame", "position_s", "total_force_N"]
     assert list(rows[0])[6:10] == ["heel_force_N", "heel_mean_kPa", "heel_peak_kPa", "heel_area_mm2"]
