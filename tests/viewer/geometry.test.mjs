@@ -5,6 +5,7 @@ import { line } from "../../tactiled/web/static/charts/chart.js";
 import { highestAlong, sample } from "../../tactiled/web/static/charts/cross_section.js";
 import { ContactOutline } from "../../tactiled/web/static/maps/contact_outline.js";
 import { Plane } from "../../tactiled/web/static/maps/geometry.js";
+import { FrameHistory } from "../../tactiled/web/static/wire/frame_history.js";
 import { measure, measures, rawMayLack, restoredMayLack } from "../../tactiled/web/static/maps/measures.js";
 import { placeNames } from "../../tactiled/web/static/maps/region_layer.js";
 import { cellsIn, measureRegion } from "../../tactiled/web/static/maps/region_measure.js";
@@ -98,6 +99,16 @@ test("of a restored image nothing is known where a cell is unknown, or too many 
     measure(Float32Array.from([first, 0, 10, 0, 0, 30]), plane.restored, 0.5, image, 0, restoredMayLack(Uint8Array.from(flags)));
     assert.deepEqual([image.force, image.peak, image.highest], known ? [0.16, 30, 30] : [NaN, NaN, 30]);
   }
+});
+
+test("a raw image has no force where the restored one is unknown: a load may be on the taxels that did not come", () => {
+  const history = new FrameHistory(grid(2, 3), [0, 1]);
+  const force = (first, flags) => {
+    const of = { unit: 0, sequence: 1, timestamp: 1, noise: 0.5, noiseGain: 1, method: 0 };
+    const images = [[NaN, 0, 10, 0, 0, 30], [first, 0, 10, 0, 0, 30]].map((values) => ({ ...of, values: Float32Array.from(values), flags }));
+    return history.push(images, [0, 1]).ofRaw.force;
+  };
+  assert.deepEqual([force(NaN, [1, 0, 0, 0, 0, 0]), force(0, [2, 0, 0, 0, 0, 0])], [NaN, 0.16]);
 });
 
 test("outlines are of the frame that is shown, wherever its contacts were found", () => {

@@ -193,7 +193,8 @@ export class CalibrationPage {
   _focus() {
     const places = byId(`calibrate-${this._panel}`).querySelectorAll("input:checked, input[type=number], button");
     const all = /** @type {HTMLElement[]} */ ([...places]).filter((each) => each.checkVisibility() && each.matches(":enabled"));
-    (all.find((each) => each.matches("input, .main")) ?? all[0])?.focus();
+    const next = all.find((each) => each.matches("input, .main")) ?? all.find((each) => !each.matches(".discard"));
+    (next ?? byId("calibrate")).focus(); // of the dialog, nothing is pressed by Enter
   }
 
   /** @param {import("../wire/api.js").Calibration} calibration */

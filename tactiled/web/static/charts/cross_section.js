@@ -3,6 +3,7 @@
 import { Chart, line } from "./chart.js";
 import { byId, setText } from "../shell/dom.js";
 import { UNITS, lengthText } from "../shell/units.js";
+import { steadyTop } from "../maps/display_range.js";
 import { ACROSS } from "../maps/geometry.js";
 
 /** @import { Axes, Line } from "./chart.js" */
@@ -67,13 +68,14 @@ export class CrossSection {
     this._axes.right = this._part.right;
     this._axes.x = AXES[along];
     this._axes.y = UNITS[unit];
-    this._axes.top = range.high;
     this._raw.length = this._restored.length = 0;
     if (frame) {
       sample(plane, plane.raw, frame.raw, marks, this._raw);
       sample(plane, plane.restored, frame.restored, marks, this._restored);
     }
     this._restored.spread = frame && deviation ? this._spread(plane, deviation, marks) : null;
+    const highest = Math.max(highestIn(this._raw), highestIn(this._restored));
+    this._axes.top = highest > range.high ? steadyTop(Math.max(this._axes.top, range.high), highest) : range.high;
     const floor = range.low - MARGIN * span;
     this._deep = goesBelow(this._raw, floor) || goesBelow(this._restored, floor) ? DEEP_FRAMES : Math.max(0, this._deep - 1);
     this._axes.bottom = range.low - (this._deep ? DEEP_MARGIN : MARGIN) * span;
@@ -107,6 +109,13 @@ export class CrossSection {
 function goesBelow(of, floor) {
   for (let i = 0; i < of.length; i += 1) if (of.y[i] < floor) return true;
   return false;
+}
+
+/** @param {Line} of @returns {number} its highest value; -Infinity where none is known */
+function highestIn(of) {
+  let highest = -Infinity;
+  for (let i = 0; i < of.length; i += 1) if (of.y[i] > highest) highest = of.y[i];
+  return highest;
 }
 
 /**

@@ -39,7 +39,7 @@ export class ContactTable {
     this._table.hidden = !count;
     this._line.hidden = count > 0 && (contacts?.length ?? 0) === count;
     const more = (contacts?.length ?? 0) - count;
-    const unknown = held ? "They are found in single images." : still ? "They were looked for in no frame near this one." : "–";
+    const unknown = held ? "Contacts are found in single images, not in this one." : still ? "No frame near this one was searched for contacts." : "–";
     setText(this._line, count ? `and ${more} weaker` : !enabled ? "Contacts are switched off." : contacts ? none : unknown);
     while (this._body.rows.length < count) this._body.append(newRow());
     while (this._body.rows.length > count) this._body.deleteRow(-1);

@@ -13,7 +13,7 @@ import { messageOf, notice, withdraw } from "../shell/notice.js";
 import { PlaybackSession } from "../playback/playback_session.js";
 import { Session } from "../wire/session.js";
 import { withToken } from "../wire/token_dialog.js";
-import { FORCE_UNITS, forceNumber, forceText, pressureText, unitOf, unitOfQuantity } from "../shell/units.js";
+import { forceNumber, forceText, pressureText, unitOf, unitOfQuantity } from "../shell/units.js";
 
 /** @import { Measure, Region, Shape } from "../wire/api.js" */
 /** @import { Plane } from "./geometry.js" */
@@ -24,6 +24,7 @@ const POLL_MS = 250;
 const RETRY_MS = 2000;
 const CHART_POINTS = 600;
 const MAX_GAP_S = 1; // between two values that the line joins, as in the service's integrals
+const LIMIT_DASHES = [6, 4];
 const QUIET_MS = 60_000; // after a notice of a threshold that is exceeded again and again
 const SHAPES = /** @type {Shape[]} */ (["rectangle", "ellipse", "polygon"]);
 
@@ -39,6 +40,8 @@ export class Regions {
     this._inside = null;
     /** @type {(RegionMeasures|null)[]} of each, in the frame that is shown */
     this._values = [];
+    /** @type {boolean[]} which are above their threshold: of a recording, in the frame that is shown; live, as the service says */
+    this._exceeded = [];
     this._sensor = ""; // whose regions are in the list; another one than is watched until the next look
     this._owner = ""; // sensor of the region in the dialog
     const { raw, restored } = viewer.maps;
@@ -66,6 +69,7 @@ export class Regions {
     byId("region-delete").addEventListener("click", (event) => confirmed(/** @type {HTMLButtonElement} */ (event.currentTarget)) && this._act("Not deleted", (name) => api.removeRegion(this._owner, name), true));
     byId("region-reset").addEventListener("click", () => this._act("Not reset", (name) => api.resetRegion(this._owner, name), false));
     byId("region-close").addEventListener("click", () => this._dialog.close());
+    this._dialog.addEventListener("close", () => this._draw());
     this._span.addEventListener("change", () => this._plot());
     this._limit.addEventListener("change", () => this._showLimit());
     for (const each of [this._above, this._below]) each.addEventListener("input", () => [this._above, this._below].forEach((field) => field.setCustomValidity("")));
@@ -145,16 +149,19 @@ export class Regions {
       this._inside = { plane, shapes: this.shapes, cells: this._regions.map((each) => cellsIn(each, plane.restored)) };
     }
     const inside = this._inside?.cells ?? [];
-    this._values = this._regions.map((region, i) => {
+    this._values = this._regions.map((_, i) => {
       const { cells } = this._body.rows[i];
-      const now = session instanceof PlaybackSession && held.kind === "now" ? session.regions.find((each) => each.name === region.name)
-        : frame && plane && measureRegion(inside[i], frame, plane.restored);
+      const now = frame && plane && measureRegion(inside[i], frame, plane.restored);
       setText(cells[1], now?.force == null ? "–" : forceNumber(now.force, session?.unit ?? 0));
       setText(cells[2], now?.mean == null ? "–" : number(now.mean));
       setText(cells[3], now?.peak == null ? "–" : number(now.peak));
       setText(cells[4], now?.area == null ? "–" : number(now.area));
-      return now?.force == null ? null : /** @type {RegionMeasures} */ (now);
+      return now ?? null;
     });
+    const exceeded = this._regions.map((region, i) => session instanceof Session ? region.exceeded : held.kind === "now" && isAbove(region, this._values[i]));
+    if (String(exceeded) === String(this._exceeded)) return;
+    this._exceeded = exceeded;
+    this._draw();
   }
 
   /** @returns {[string, RegionMeasures|null][]} what each holds in the frame that is shown */
@@ -176,15 +183,11 @@ export class Regions {
       }
     }
     this._sensor = sensor;
-    const regions = session instanceof PlaybackSession ? watched.map((each) => ({ ...each, exceeded: false })) : watched;
-    this._regions = regions;
+    const regions = this._regions = watched;
     byId("regions").hidden = !regions.length;
     while (this._body.rows.length < regions.length) this._body.append(this._row());
     while (this._body.rows.length > regions.length) this._body.deleteRow(-1);
-    regions.forEach(({ name, exceeded }, i) => {
-      this._body.rows[i].classList.toggle("some", exceeded);
-      setText(/** @type {Element} */ (this._body.rows[i].cells[0].firstElementChild), name);
-    });
+    regions.forEach(({ name }, i) => setText(/** @type {Element} */ (this._body.rows[i].cells[0].firstElementChild), name));
     this.read();
     this._draw();
   }
@@ -209,10 +212,12 @@ export class Regions {
       button.setAttribute("aria-pressed", String(each === shape));
       setText(button, each !== shape ? each[0].toUpperCase() + each.slice(1) : closable ? "Done" : "Cancel");
     }
-    const drawn = shape && points.length ? [{ name: "", shape, points_mm: points, exceeded: false }] : [];
+    const asked = this._dialog.open && this._chosen && this._chosen.name === undefined ? this._chosen : null; // of a new region
+    const drawn = asked ?? (shape && points.length ? { shape, points_mm: points } : null);
     const { charted } = this._viewer;
-    const outlines = this._regions.map((each) => ({ ...each, slot: charted?.get(`region ${each.name}`) }));
-    const [names] = this._layers.map((each) => each.draw([...outlines, ...drawn]));
+    const outlines = this._regions.map((each, i) => ({ ...each, exceeded: this._exceeded[i] ?? false, slot: charted?.get(`region ${each.name}`) }));
+    outlines.forEach(({ exceeded }, i) => this._body.rows[i].classList.toggle("some", exceeded));
+    const [names] = this._layers.map((each) => each.draw(drawn ? [...outlines, { ...drawn, name: "", exceeded: false }] : outlines));
     if (JSON.stringify(names) === JSON.stringify(this._viewer.marks.names)) return;
     this._viewer.marks.names = names;
     this._viewer.refresh();
@@ -247,6 +252,7 @@ export class Regions {
     setText(byId("region-close"), isNew ? "Cancel" : "Close");
     this._showLimit();
     this._dialog.showModal();
+    this._draw();
     if (isNew) this._name.focus();
     else this._plot();
   }
@@ -308,7 +314,9 @@ export class Regions {
     const region = this._regions.find((each) => each.name === this._chosen?.name);
     if (!region || byId("region-held").hidden) return;
     const unit = unitOf(region.unit);
-    const { highest, impulse, pressure_time, since } = region;
+    const { highest, impulse, pressure_time, since, threshold } = region;
+    const { quantity = "force" } = threshold ?? {};
+    setText(byId("region-charted"), `${quantity[0].toUpperCase()}${quantity.slice(1)} over the last`);
     setText(byId("region-since"), since === null ? "" : `Since ${new Date(1000 * since).toLocaleTimeString([], { hour12: false })}`);
     const texts = highest?.force == null || highest.peak == null ? ["–", "–", "–", "–"] : [
       forceText(highest.force, unit), pressureText(highest.peak, unit), `${forceText(impulse, unit)}·s`, `${pressureText(pressure_time, unit)}·s`,
@@ -317,20 +325,28 @@ export class Regions {
     const span = Number(this._span.value);
     const { session } = this._viewer;
     const until = session instanceof Session ? session.until : null;
-    const still = until === null ? "" : [region.name, span, until].join();
+    const still = until === null ? "" : [region.name, span, until, quantity, threshold?.above].join();
     const link = /** @type {HTMLAnchorElement} */ (byId("region-csv"));
     link.href = api.regionCsv(this._owner, region.name, span, until);
     link.download = `${this._owner}-${region.name}.csv`;
     if (still && still === this._still) return;
     try {
-      const { time, force } = await api.regionSeries(this._owner, region.name, span, until, CHART_POINTS);
-      const of = gappedLine(time, force ?? [], MAX_GAP_S + span / CHART_POINTS, "restored");
+      const series = await api.regionSeries(this._owner, region.name, span, until, CHART_POINTS);
+      const { time, [quantity]: values = [] } = series;
+      const of = gappedLine(time, values, MAX_GAP_S + span / CHART_POINTS, "restored");
       of.zero = time[time.length - 1] ?? 0;
       this._still = still;
-      const top = roundUp(Math.max(unit ? 100 : 0.1, ...of.y.filter(Number.isFinite)));
-      this._chart.draw({ left: -span, right: 0, bottom: 0, top, x: "time, s", y: FORCE_UNITS[unit] }, [of]);
+      const limit = gappedLine([-span, 0], [threshold?.above ?? NaN, threshold?.above ?? NaN], Infinity, "accent", LIMIT_DASHES);
+      const least = unit ? 100 : quantity === "force" ? 0.1 : 1; // so that noise does not fill the chart
+      const top = roundUp(Math.max(least, threshold?.above ?? 0, ...of.y.filter(Number.isFinite)));
+      this._chart.draw({ left: -span, right: 0, bottom: 0, top, x: "time, s", y: unitOfQuantity(quantity, unit) }, [limit, of]);
     } catch (error) {
       notice(`Series of ${region.name}: ${messageOf(error)}`, true);
     }
   }
+}
+
+/** @param {Region} region @param {RegionMeasures|null} value of it @returns {boolean} */
+function isAbove({ threshold }, value) {
+  return threshold !== null && value !== null && value[threshold.quantity] > threshold.above;
 }

@@ -39,7 +39,6 @@ export class PlaybackPage {
       viewer.show(viewer.session instanceof PlaybackSession ? viewer.session.recorded.frames - 1 - number : 0);
       window.scrollTo({ top: 0 });
     });
-    this._regions = ""; // the sensor's, of which the values are known
     /** @type {Curve|null} that the chart was last asked to draw */
     this._curve = null;
     this._position = Number(given.get("at") ?? 0) || 0;
@@ -209,10 +208,7 @@ export class PlaybackPage {
     this._scrub.setAttribute("aria-label", session ? "Position in the recording" : "Kept frames, newest at the right");
     this._viewer.regions?.read();
     if (!session) return;
-    const regions = this._viewer.regions?.shapes ?? "";
-    if (regions !== this._regions) session.measureAgain();
-    this._regions = regions;
-    this._series.read(regions, this._viewer.regions?.thresholds ?? {});
+    this._series.read(this._viewer.regions?.shapes ?? "", this._viewer.regions?.thresholds ?? {});
     const { recorded, position, paused } = session;
     setText(this._pause, paused ? "Play" : "Pause");
     this._pause.title = `${paused ? "Play" : "Pause"} (space)`;

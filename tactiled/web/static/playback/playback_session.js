@@ -8,7 +8,7 @@ import { Timeline } from "../shell/timeline.js";
 import { unitOf } from "../shell/units.js";
 import { KIND_NAMES, PRESSURES, TRACTION, kindOf, messageBytes, packet, parse } from "../wire/wire.js";
 
-/** @import { Played, PlayedFrame, PlayedRegion } from "../wire/api.js" */
+/** @import { Played, PlayedFrame } from "../wire/api.js" */
 /** @import { Frame } from "../wire/frame_history.js" */
 /** @import { Plane } from "../maps/geometry.js" */
 /** @import { Health } from "../shell/health.js" */
@@ -19,9 +19,8 @@ import { KIND_NAMES, PRESSURES, TRACTION, kindOf, messageBytes, packet, parse } 
  */
 
 const CHUNK = 48; // frames an answer while it plays
-const DETAILS_MS = 200; // between two requests for warnings and contacts while it plays
-const DETAILS_AHEAD_MS = 300; // of the frame that is shown: what they tell is there when its frame is
-const CONTACTS_MS = 250; // that contacts may be shown beside their frame while it plays
+const DETAILS_MS = 80; // between two requests for warnings and contacts while it plays
+const CONTACTS_MS = 80; // that contacts may be shown beside their frame while it plays
 const SAME_S = 1e-4; // between two times of one frame
 const BUSY_MS = 1000; // until a request is repeated that came too soon, or for what is not read yet
 /** @type {Health} */
@@ -71,6 +70,7 @@ export class PlaybackSession {
     /** @type {number|null} s, instead of `_next` */
     this._seekTo = null;
     this._detailsAt = 0;
+    this._answer_ms = 0; // that the newest details took
     this._detailed = -1; // number of the frame whose details came last
     /** @type {Health} */
     this._health = PLAYBACK;
@@ -99,12 +99,6 @@ export class PlaybackSession {
   get statusOfFrame() {
     const { frame } = this;
     return frame && this._statuses.at(frame.timestamp);
-  }
-
-  /** @returns {PlayedRegion[]} what the regions hold in the frame that is shown; none until that is known */
-  get regions() {
-    const { frame } = this;
-    return (frame && this.contacts.at(frame.timestamp)?.regions) ?? [];
   }
 
   /** @returns {Health} */
@@ -153,13 +147,6 @@ export class PlaybackSession {
     this._queue.length = 0;
     this._next = this._sought ? this.number : this.number + 1;
     this._turn += 1;
-  }
-
-  /** The sensor has other regions: ask for their values. */
-  measureAgain() {
-    this._turn += 1;
-    this._detailed = -1;
-    this.contacts.clear();
   }
 
   /** Show another frame. @param {number} to how far before the last */
@@ -281,7 +268,7 @@ export class PlaybackSession {
   /** Ask for warnings and contacts of the frame that is shown, or soon will be. @param {number} now */
   async _details(now) {
     const { name, recorded, clock, method, _turn: turn } = this;
-    const ahead = clock.playing ? this._queue.find((each) => each.position >= clock.at(now) + (clock.speed * DETAILS_AHEAD_MS) / 1000) : null;
+    const ahead = clock.playing ? this._queue.find((each) => each.position >= clock.at(now) + (clock.speed * this._answer_ms) / 1000) : null;
     const number = ahead?.number ?? this.number;
     if (this._asking || this._sought || !this.frame || number === this._detailed) return;
     if (clock.playing && now - this._detailsAt < DETAILS_MS) return;
@@ -290,6 +277,7 @@ export class PlaybackSession {
     try {
       const details = await api.recordedFrame(recorded.name, name, number, method);
       this._health = PLAYBACK;
+      this._answer_ms = performance.now() - now;
       if (turn !== this._turn) return;
       this._take(details, method);
       this._detailed = this.paused && number !== this.number ? -1 : number;
@@ -303,7 +291,7 @@ export class PlaybackSession {
   /** @param {PlayedFrame} details @param {string} method that was asked for */
   _take(details, method) {
     const { unit } = this.recorded;
-    this.contacts.push({ type: "contacts", sequence: details.sequence, timestamp: details.timestamp, unit, contacts: details.contacts, regions: details.regions });
+    this.contacts.push({ type: "contacts", sequence: details.sequence, timestamp: details.timestamp, unit, contacts: details.contacts });
     this.status = {
       ...details, type: "status", sensor: this.name, state: "live", age_s: null, rate_hz: rateOf(this.recorded), jitter_s: null, detail: "",
       method, ran: details.method, calibration: this.recorded.calibration,

@@ -45,5 +45,5 @@ function line({ event, count, since }) {
   time.title = date.toLocaleString();
   const title = [event.sensor ?? event.bus, event.kind.replaceAll("_", " ")].filter(Boolean).join(": ");
   const times = count > 1 ? ` × ${count} since ${clockTime(since)}` : "";
-  return element("li", BAD_KINDS.has(event.kind) ? "bad" : "", time, " ", element("b", "", title), `${times} ${event.text}`);
+  return element("li", BAD_KINDS.has(event.kind) ? "bad" : "", time, " ", element("b", "", title), `${times}: ${event.text}`);
 }

@@ -189,5 +189,5 @@ function showMeasures(at, of, unit, idle) {
 /** @param {number} microseconds NaN where it is not known @returns {string} */
 function time(microseconds) {
   if (Number.isNaN(microseconds)) return "\u2013";
-  return microseconds < 1000 ? `${fixed(microseconds, 0)} µs` : `${fixed(microseconds / 1000, 2)} ms`;
+  return microseconds < 1000 ? `${fixed(microseconds, 0)} µs` : `${number(microseconds / 1000)} ms`;
 }

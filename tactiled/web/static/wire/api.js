@@ -66,12 +66,9 @@ const APPLY_TIMEOUT_MS = 60_000; // a cover is solved
  * @typedef {{
  *   number: number, position_s: number, sequence: number, timestamp: number, skew_s: number, method: string,
  *   why: string, iterations: number, microseconds: number, unit: string, noise: number, noise_gain: number,
- *   resolution_mm: number, loss: Loss, warnings: Warning[], contacts: import("./sensor_stream.js").Contact[],
- *   regions: PlayedRegion[]
+ *   resolution_mm: number, loss: Loss, warnings: Warning[], contacts: import("./sensor_stream.js").Contact[]
  * }} PlayedFrame
  */
-
-/** @typedef {RegionMeasures & {name: string}} PlayedRegion in the restored image of a frame */
 
 /** @typedef {{value: number|null, number: number, position_s: number}} Highest `number` is that of the frame */
 

@@ -165,8 +165,9 @@ export class FrameHistory {
     frame.method = METHODS[restored.method] ?? "";
     const noise = Number.isFinite(frame.noise) ? frame.noise : 0;
     const gain = Number.isFinite(frame.noiseGain) ? frame.noiseGain : 1;
-    measure(frame.raw, this._plane.raw, noise, frame.ofRaw, frame.unit, rawMayLack(this._plane.raw));
     measure(frame.restored, this._plane.restored, noise * gain, frame.ofRestored, frame.unit, restoredMayLack(frame.flags));
+    const mayLack = frame.ofRestored.unknown ? -1 : rawMayLack(this._plane.raw); // a load may be on what did not come
+    measure(frame.raw, this._plane.raw, noise, frame.ofRaw, frame.unit, mayLack);
     this.times[frame.place] = frame.timestamp;
     this.trace.push(frame.timestamp, frame.ofRaw.force, frame.ofRestored.force);
     this.latencies[frame.place] = NaN;

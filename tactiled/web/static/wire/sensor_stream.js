@@ -3,7 +3,7 @@
 import { ReconnectingSocket } from "./socket.js";
 import { KIND_NAMES, kindOf, packet, parse } from "./wire.js";
 
-/** @import { Loss, PlayedRegion, State, Warning } from "./api.js" */
+/** @import { Loss, State, Warning } from "./api.js" */
 /** @import { Packet } from "./wire.js" */
 
 /**
@@ -24,7 +24,7 @@ import { KIND_NAMES, kindOf, packet, parse } from "./wire.js";
  * }} Contact
  */
 
-/** @typedef {{type: "contacts", sequence: number, timestamp: number, unit: string, contacts: Contact[], regions?: PlayedRegion[]}} ContactsMessage strongest first; of a recording also its regions */
+/** @typedef {{type: "contacts", sequence: number, timestamp: number, unit: string, contacts: Contact[]}} ContactsMessage strongest first */
 
 /**
  * @typedef {object} Listener
