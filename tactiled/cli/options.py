@@ -64,7 +64,7 @@ def numbers(option: str, text: str, form: str = "", count: int | None = None) ->
     try:
         numbers = [float(part) for part in text.split(",")]
     except ValueError as error:
-        raise ConfigError(f"--{option} {text}: give numbers with commas between them") from error
+        raise ConfigError(f"--{option} {text}: give {form or 'numbers with commas between them'}") from error
     if len(numbers) != (count or len(numbers)):
         raise ConfigError(f"--{option} {text}: give {form}")
     return numbers

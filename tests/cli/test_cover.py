@@ -108,7 +108,7 @@ def test_plot_replaces_the_file_before_unless_it_is_interrupted(tmp_path, monkey
     [
         ("--poisson 0.5", "Poisson's ratio is 0.5"),
         ("--layer 1,2", "--layer 1,2: give T,E,NU"),
-        ("--layer 1,2,x", "--layer 1,2,x: give numbers"),
+        ("--layer 1,2,x", "--layer 1,2,x: give T,E,NU: thickness in mm"),
         ("--profile 0,1,2", "--profile 0,1,2: give R,RISE"),
         ("--profile 0,1 --profile 1,0 --model layered", "model 'layered' knows flat layers only"),
         ("--at 1,-1", "--at 1,-1: give finite frequencies"),

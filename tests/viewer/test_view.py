@@ -46,6 +46,7 @@ def test_an_address_keeps_a_view_of_the_difference_and_on_the_slider_raw_ends_wh
     row, column = map(int, re.search(r"taxel r(\d+) c(\d+)", probe.inner_text()).groups())
     signed_text = f"{difference[row, column]:+.1f}".replace("-", "\u2212")
     assert f", difference {signed_text} kPa (" in probe.inner_text()
+    assert page.pixels("difference-marks")[..., 3].any()
     restored, above = page.pixels("restored")[..., :3], image.restored > 5
     assert above.any()
     assert (restored[above] == ABOVE).all()

@@ -92,7 +92,7 @@ def fit_weight(
 ) -> GainFit:
     """The common gain from one known weight, laid on once or more often; `reach` (N,) as of `reach_of`."""
     if not (np.isfinite(weight_n) and weight_n > 0):
-        raise ConfigError(f"weight of {weight_n:g} N: give its force, above 0")
+        raise ConfigError(f"weight_n = {weight_n:g}: give the force of the weight in N, above 0")
     signal = response(series, tiling(array).areas)
     size = require_press(signal)
     holds = plateaus(signal, WEIGHT_TOLERANCE * size, round(MIN_WEIGHT_HOLD * signal.size))

@@ -171,7 +171,7 @@ def test_a_weight_that_was_laid_on_the_border_once_is_left_out():
 
 @pytest.mark.parametrize(
     ("weight_n", "first", "message"),
-    [(PEAK_N, 400, "must start unloaded"), (-1.0, 0, "weight of -1 N"), (1e4, 0, "check the unit")],
+    [(PEAK_N, 400, "must start unloaded"), (-1.0, 0, "weight_n = -1: give the force"), (1e4, 0, "check the unit")],
 )
 def test_a_bad_weight_is_refused(weight_n, first, message):
     series = laid_on(Skin(256, seed=37), [[10.0, 11.0]])

@@ -32,6 +32,8 @@ export class Maps {
     this.restored = new Heatmap(byId("restored"), byId("restored-frame"));
     this.rawMarks = new Overlay(byId("raw-marks"));
     this.restoredMarks = new Overlay(byId("restored-marks"));
+    this._differenceMarks = new Overlay(byId("difference-marks"));
+    this._marks = [this.rawMarks, this.restoredMarks, this._differenceMarks];
     this.arrows = new ShearArrows(byId("raw-shear"), byId("shear-key"), SENSED);
     this.restoredArrows = new ShearArrows(byId("restored-shear"), byId("traction-key"), ON_COVER);
     this.colorbar = new Colorbar(byId("colorbar"));
@@ -81,7 +83,7 @@ export class Maps {
   /** Show nothing. */
   clear() {
     this._plane = null;
-    for (const each of [...this._maps, ...this._values, ...this._surfaces, ...this._paths, this.rawMarks, this.restoredMarks]) each.clear();
+    for (const each of [...this._maps, ...this._values, ...this._surfaces, ...this._paths, ...this._marks]) each.clear();
     this.arrows.reset();
     this.restoredArrows.reset();
     this.colorbar.clear();
@@ -106,7 +108,10 @@ export class Maps {
     else this.arrows.clear();
     if (shear && frame.sheared && frame.traction.length) this.restoredArrows.draw(frame.traction, frame.timestamp);
     else this.restoredArrows.clear();
-    if (view.name === "difference" && view.signed) this._paintDifference(frame, range, view.signed);
+    if (view.name === "difference" && view.signed) {
+      this._paintDifference(frame, range, view.signed);
+      this._differenceMarks.draw(marks, frame.ofRestored, flags);
+    }
     this._writeValues(frame, range, colormap, view);
     if (view.name !== "surface") return;
     this._surfaces[0].paint(frame.raw, range, colormap, frame.unit);
@@ -133,7 +138,7 @@ export class Maps {
     if (!plane || name === "surface") return;
     const [raw, restored, difference] = this._values;
     if (name === "difference") {
-      if (signed) difference.draw(this._differences, plane, plane.restored, this._differenceRange, signed);
+      if (signed) difference.draw(this._differences, plane, plane.restored, this._differenceRange, signed, this._differenceMarks);
       return;
     }
     raw.draw(frame.raw, plane, plane.raw, range, colormap, this.rawMarks);
@@ -222,8 +227,7 @@ export class Maps {
     for (const each of this._values) each.resize(plane, zoom);
     for (const each of this._axes) each.draw(plane, zoom);
     for (const each of this._paths) each.resize(plane, zoom);
-    this.rawMarks.resize(plane, zoom);
-    this.restoredMarks.resize(plane, zoom);
+    for (const each of this._marks) each.resize(plane, zoom);
     this.arrows.resize(plane, zoom);
     this.restoredArrows.resize(plane, zoom);
     const tops = this._maps.filter((each) => each.frame.offsetParent).map((each) => each.frame.getBoundingClientRect().top);

@@ -44,9 +44,9 @@ export class Regions {
     this._exceeded = [];
     this._sensor = ""; // whose regions are in the list; another one than is watched until the next look
     this._owner = ""; // sensor of the region in the dialog
-    const { raw, restored } = viewer.maps;
-    this._layers = [raw, restored].map((each) => new RegionLayer(each.frame));
-    this._drawing = new RegionDrawing([raw, restored], () => viewer.probe.pinned ? [viewer.probe.x, viewer.probe.y] : null, () => this._draw(), (shape, points) => this._drawn(shape, points));
+    const { raw, restored, difference } = viewer.maps;
+    this._layers = [raw, restored, difference].map((each) => new RegionLayer(each.frame));
+    this._drawing = new RegionDrawing([raw, restored, difference], () => viewer.probe.pinned ? [viewer.probe.x, viewer.probe.y] : null, () => this._draw(), (shape, points) => this._drawn(shape, points));
     this._body = /** @type {HTMLTableSectionElement} */ (byId("regions").querySelector("tbody"));
     this._dialog = /** @type {HTMLDialogElement} */ (byId("region"));
     this._name = /** @type {HTMLInputElement} */ (byId("region-name"));
