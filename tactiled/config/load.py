@@ -29,6 +29,7 @@ TABLES: dict[str, type[BaseModel]] = {
     "": Config, "server": schema.Server, "zenoh": schema.Zenoh, "bus": schema.Bus, "sensor": schema.Sensor,
     "array": schema.Array, "cover": schema.Layer, "kernel": schema.Kernel, "calibration": schema.Calibration,
 }  # fmt: skip
+IN_SENSOR = 3  # parts of the place of a key of a sensor, sensor.NAME.KEY: keys of its tables have more
 FD_ON_REQUEST = ("kvaser", "pcan", "socketcan", "vector")  # python-can's interfaces that speak CAN FD if fd = true
 
 
@@ -66,9 +67,15 @@ def load_as_meant(path: Path) -> tuple[Config, tuple[str, ...]] | None:
             table: Any = functools.reduce(_in_table, tables, data)
             table[key] = fault["ctx"]["meant"]
         data["sensor"] = {name: each for name, each in data["sensor"].items() if name not in left_out}
-        return Config.model_validate(data, context=context), tuple(place(fault["loc"]) for fault in past)
+        return Config.model_validate(data, context=context), tuple(place(_stood_in(fault)) for fault in past)
     except (ValidationError, LookupError, TypeError, AttributeError):
         return None
+
+
+def _stood_in(fault: ErrorDetails) -> tuple[int | str, ...]:
+    """What is not the file's own: a value that a slip explains, else the whole table of a sensor that has it."""
+    loc = fault["loc"]
+    return loc if fault["ctx"]["slip"] or len(loc) <= IN_SENSOR else loc[:-1]
 
 
 def _in_table(table: Any, part: int | str) -> Any:

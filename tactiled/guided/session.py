@@ -132,7 +132,7 @@ class CalibrationSession:
             return NEXT_STATE[self.state, action]
         except KeyError:
             allowed = ", ".join(sorted({verb for state, verb in NEXT_STATE if state == self.state}))
-            text = f"{action}: the calibration is {self.state}: possible now: {allowed or 'nothing'}"
+            text = f"{action}: not possible, as the calibration is {self.state}; possible: {allowed or 'nothing'}"
             raise CalibrationStateError(f"sensor {self.sensor.name!r}: {text}") from None
 
     def _go(self, action: Action) -> None:

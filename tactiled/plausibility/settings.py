@@ -60,9 +60,11 @@ class Finding:
     hint: bool = False
 
     def rests_on(self, places: Iterable[str]) -> bool:
-        """Whether its value is that of one of some dotted keys, or of several keys with one; `[0]` may lack."""
+        """Whether it is of one of some dotted keys, of what is in one, or of what one is in; `[0]` may lack."""
         own, *others = (each.replace("[0]", "") for each in (self.place, *places))
-        return any(each == own or each.startswith((f"{own}.", f"{own}[")) for each in others)
+        return any(
+            one == own or one.startswith((f"{own}.", f"{own}[")) or own.startswith(f"{one}.") for one in others
+        )
 
     def __str__(self) -> str:
         """One line."""

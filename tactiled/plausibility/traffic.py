@@ -156,7 +156,7 @@ def _frames(
     no_load = calibration.no_load if calibration.no_loads is None else calibration.no_loads
     rest = float(np.nanmedian(level))
     if abs(np.nanmedian(level - no_load)) > MAX_REST_FRACTION * codec.full_scale:
-        reason = f"half of the array is at {rest:g} or more: if nothing touches it, that is no_load"
+        reason = f"half of the taxels read {rest:g} or more; if nothing touches them, set no_load = {rest:g}"
         yield Finding(f"{place}.calibration.no_load", f"{np.median(no_load):g}", reason)
     if grid := _other_grid(place, sensor, counts):
         yield grid

@@ -103,6 +103,8 @@ def test_no_fault_rests_on_a_value_that_is_wrong_itself(palm):
     texts = str(run("check", path).exception).splitlines()
     assert [each.partition("codec.")[2].partition(" = ")[0] for each in texts] == ["array_id", "base_id"]
     assert str(run("check", palm("pitch_mm = 1.0", "pitch_mm = -1.0")).exception).endswith("give 0.01 to 1000 mm")
+    unknown = run("check", palm("pitch_mm = 1.0", "pitch_mm = inf\naperture_mm = 1.6"))
+    assert "aperture_mm" not in f"{unknown.output}{unknown.exception}"
 
 
 def test_a_hint_and_a_file_as_it_is_written_end_a_check_well(palm):
@@ -120,7 +122,7 @@ def test_a_bus_is_listened_to(palm, playing):
         r"bus can0: \d+ messages in 1 s\n  palm: \d+\.\d frames a second, 0 messages lost", done.stdout
     )
     assert "  unknown id 0x6a1: " in done.stdout
-    assert "no_load = 1000: half of the array is at 60" in done.stdout
+    assert "no_load = 1000: half of the taxels read 60" in done.stdout
 
 
 def test_a_silent_bus_is_doubtful_and_one_that_cannot_be_opened_an_error(palm):

@@ -72,7 +72,7 @@ def test_what_was_collected_is_fitted_and_applied_once(rig, session):
     rig.show(pressed())
     assert len(session.collector) == 0
     with pytest.raises(
-        CalibrationStateError, match="'palm': apply: the calibration is ended: possible now: nothing"
+        CalibrationStateError, match="'palm': apply: not possible, as the calibration is ended; possible: nothing"
     ):
         session.apply(applied.append)
 
@@ -140,7 +140,9 @@ def test_every_action_is_refused_where_the_table_has_no_state_for_it(session, st
     actions["apply"] = lambda: session.apply(lambda _: None)
     for name, action in actions.items():
         if (state, name) not in NEXT_STATE:
-            with pytest.raises(CalibrationStateError, match=f"{name}: the calibration is {state}"):
+            with pytest.raises(
+                CalibrationStateError, match=f"{name}: not possible, as the calibration is {state}"
+            ):
                 action()
             assert session.state == state
 

@@ -169,7 +169,7 @@ FAULTS = {
         {},
         "stale_after_s = 0.5: one frame came 1 s after the one before",
     ),
-    "another zero": (HEALTHY, {"calibration": "no_load = 2048"}, "no_load = 2048: half of the array is at 80"),
+    "another zero": (HEALTHY, {"calibration": "no_load = 2048"}, "no_load = 2048: half of the taxels read 80"),
     "stuck": (altered(stick), {}, "dead = []: never change: taxels 3, 7: list them if they do not work"),
     "at the end of the scale": (altered(end), {}, "never change: taxels 29: list them"),
 }  # fmt: skip

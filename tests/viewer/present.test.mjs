@@ -130,6 +130,7 @@ test("what repeats in the log of events is one row with its count", () => {
     add(2 * i + 1, "warning_cleared", `${i} taxels did not arrive`, "missing");
   }
   const of = () => rows.map(({ event, count, since }) => [event.kind, event.text, count, since]);
+  assert.deepEqual(rows.map(({ begun }) => begun), [22, 22.5]); // of what is over, when it last began
   assert.deepEqual(of(), [
     ["warning_cleared", "11 taxels did not arrive", 12, 0],
     ["warning_raised", "restoring took longer than 1 ms", 12, 0.5],

@@ -19,7 +19,7 @@ import { KIND_NAMES, PRESSURES, TRACTION, kindOf, messageBytes, packet, parse } 
  */
 
 const CHUNK = 48; // frames an answer while it plays
-const DETAILS_MS = 80; // between two requests for warnings and contacts while it plays
+const DETAILS_MS = 150; // between two requests for warnings and contacts while it plays: a service answers ten a second
 const CONTACTS_MS = 80; // that contacts may be shown beside their frame while it plays
 const SAME_S = 1e-4; // between two times of one frame
 const BUSY_MS = 1000; // until a request is repeated that came too soon, or for what is not read yet

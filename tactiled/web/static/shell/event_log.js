@@ -38,12 +38,13 @@ export class EventLog {
 const clockTime = (time) => new Date(time * 1000).toLocaleTimeString([], { hour12: false });
 
 /** @param {Row} row @returns {HTMLElement} */
-function line({ event, count, since }) {
+function line({ event, count, since, begun }) {
   const date = new Date(event.time * 1000);
   const time = element("time", "", clockTime(event.time));
   time.dateTime = date.toISOString();
   time.title = date.toLocaleString();
   const title = [event.sensor ?? event.bus, event.kind.replaceAll("_", " ")].filter(Boolean).join(": ");
   const times = count > 1 ? ` × ${count} since ${clockTime(since)}` : "";
-  return element("li", BAD_KINDS.has(event.kind) ? "bad" : "", time, " ", element("b", "", title), `${times}: ${event.text}`);
+  const from = begun < event.time ? ` (from ${clockTime(begun)})` : "";
+  return element("li", BAD_KINDS.has(event.kind) ? "bad" : "", time, " ", element("b", "", title), `${times}: ${event.text}${from}`);
 }

@@ -15,6 +15,7 @@ const OF_STATE = new Set(["sensor_stale", "bus_down"]); // whose text differs fr
  * @property {string} key of what repeats
  * @property {Event} event the newest
  * @property {number} since Unix s, of the first
+ * @property {number} begun Unix s, of the newest that is no end of another
  * @property {number} count how often; a pair counts once
  */
 
@@ -38,8 +39,9 @@ export function addEvent(rows, event) {
   const paired = ends || Object.values(BEGINS).includes(event.kind);
   const key = keyOf(event, BEGINS[event.kind] ?? event.kind);
   const at = rows.findIndex((each, i) => each.key === key && (paired ? event.time - each.event.time < MERGED_WITHIN_S : i === 0));
-  const row = at < 0 ? { key: ends ? keyOf(event, event.kind) : key, event, since: event.time, count: 0 } : rows.splice(at, 1)[0];
+  const row = at < 0 ? { key: ends ? keyOf(event, event.kind) : key, event, since: event.time, begun: event.time, count: 0 } : rows.splice(at, 1)[0];
   row.event = event;
+  if (!ends) row.begun = event.time;
   if (!ends || !row.count) row.count += 1;
   rows.unshift(row);
   rows.length = Math.min(rows.length, MAX_ROWS);
