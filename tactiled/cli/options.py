@@ -59,12 +59,14 @@ def present(**options: Any) -> dict[str, Any]:
     return {name: value for name, value in options.items() if value is not None}
 
 
-def numbers(option: str, text: str, form: str = "", count: int | None = None) -> list[float]:
+def numbers(
+    option: str, text: str, form: str = "numbers with commas between them", count: int | None = None
+) -> list[float]:
     """Numbers with commas between them, `count` of them; ConfigError otherwise, which names their `form`."""
     try:
         numbers = [float(part) for part in text.split(",")]
     except ValueError as error:
-        raise ConfigError(f"--{option} {text}: give {form or 'numbers with commas between them'}") from error
+        raise ConfigError(f"--{option} {text}: give {form}") from error
     if len(numbers) != (count or len(numbers)):
         raise ConfigError(f"--{option} {text}: give {form}")
     return numbers

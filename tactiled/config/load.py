@@ -79,8 +79,13 @@ def _stood_in(fault: ErrorDetails) -> tuple[int | str, ...]:
 
 
 def _in_table(table: Any, part: int | str) -> Any:
-    """A part of a table; one layer may stand for a list of it."""
-    return table if part == 0 and isinstance(table, dict) else table[part]
+    """A part of a table."""
+    return table if _is_one_layer(table, part) else table[part]
+
+
+def _is_one_layer(table: Any, part: int | str) -> bool:
+    """Whether a table is the first of a list itself, as the file may have one layer."""
+    return part == 0 and isinstance(table, dict)
 
 
 def load_buses(path: Path) -> Buses:
@@ -178,13 +183,12 @@ def _line(fault: ErrorDetails, data: Any) -> str:
 
 
 def _written(loc: Iterable[int | str], data: Any) -> Iterator[int | str]:
-    """A place without the number that one layer, which stands for a list of it, has not in the file."""
+    """A place as the file has it: one layer has no number there."""
     for part in loc:
-        if part == 0 and isinstance(data, dict):
-            continue
-        yield part
+        if not _is_one_layer(data, part):
+            yield part
         with suppress(LookupError, TypeError):
-            data = data[part]
+            data = _in_table(data, part)
 
 
 def _suggestion(*loc: int | str) -> str:

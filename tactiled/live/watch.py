@@ -90,8 +90,7 @@ class Watch:
         }
         self._silent_since = {name: at for name, at in self._silent_since.items() if name not in names}
         for key in [key for key in self._raised if key[0] in names]:
-            warning, _ = self._raised.pop(key)
-            self._events.add("warning_cleared", f"it was: {warning.text}", key[0], warning=warning)
+            self._clear(*key)
 
     def _look_at_bus(self, bus: str) -> None:
         down = next(
@@ -125,10 +124,14 @@ class Watch:
             self._raised[sensor.name, code] = warning, now
         if self._values["state", sensor.name] != "live":  # without frames no warning is cleared
             return
-        for (name, code), (warning, raised_at) in list(self._raised.items()):
+        for (name, code), (_, raised_at) in list(self._raised.items()):
             if name == sensor.name and now - raised_at > WARNING_STAYS_S:
-                del self._raised[name, code]
-                self._events.add("warning_cleared", f"it was: {warning.text}", name, warning=warning)
+                self._clear(name, code)
+
+    def _clear(self, name: str, code: str) -> None:
+        """Clear a sensor's warning."""
+        warning, _ = self._raised.pop((name, code))
+        self._events.add("warning_cleared", f"it was: {warning.text}", name, warning=warning)
 
     def _lasts(self, reported: tuple[str, str], now: float) -> bool:
         """Whether a warning that is reported `now` (s), given by sensor and code, has lasted."""

@@ -20,7 +20,8 @@ CHROMIUM = "chromium-headless-shell"  # a page costs half of what it does in `ch
 DESK, PHONE = {"width": 1440, "height": 900}, {"width": 390, "height": 844}
 TOUCH = {**PHONE, "has_touch": True, "is_mobile": True}
 PAINTINGS = "Number(document.documentElement.dataset.painted)"
-LIVE = "document.body.dataset.level === 'live'"
+LEVEL = "document.body.dataset.level"
+LIVE = f"{LEVEL} === 'live'"
 PAUSED = "document.body.classList.contains('paused')"
 TILES = "[...document.querySelectorAll('.tile')].map(tile => tile.innerText)"
 LEVELS = "[...document.querySelectorAll('.tile')].map(tile => tile.dataset.level).join()"

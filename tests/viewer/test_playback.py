@@ -8,13 +8,12 @@ from tactiled.config import Server
 from tactiled.web.server import running
 from tests.cli.recordings import write
 from tests.conftest import ask, pressed, until
-from tests.viewer.conftest import WATCH_TEXTS
+from tests.viewer.conftest import LEVEL, WATCH_TEXTS
 from tests.viewer.test_regions import drag
 
 FRAMES, RATE_HZ = 50, 50.0
 WHEN = "document.getElementById('when').innerText"
 FRAME = "document.getElementById('sequence').innerText"
-LEVEL = "document.body.dataset.level"
 DROP = """([name, text]) => {
   const dataTransfer = new DataTransfer();
   dataTransfer.items.add(new File([text], name));

@@ -7,10 +7,9 @@ import numpy as np
 import pytest
 
 from tests.conftest import pressed
-from tests.viewer.conftest import LEVELS, LIVE, PAINTINGS
+from tests.viewer.conftest import LEVEL, LEVELS, LIVE, PAINTINGS
 from tests.viewer.measure import SAMPLING, allocated
 
-LEVEL = "document.body.dataset.level"
 PILL = "document.getElementById('pill-text').innerText"
 TILE = "document.querySelector('.tile .foot .sub').innerText"
 # What a hidden tab does: messages come, but the screen is not refreshed.

@@ -315,7 +315,7 @@ export class Regions {
     if (!region || byId("region-held").hidden) return;
     const unit = unitOf(region.unit);
     const { highest, impulse, pressure_time, since, threshold } = region;
-    const { quantity = "force" } = threshold ?? {};
+    const { quantity = "force", above = NaN } = threshold ?? {};
     setText(byId("region-charted"), `${quantity[0].toUpperCase()}${quantity.slice(1)} over the last`);
     setText(byId("region-since"), since === null ? "" : `Since ${new Date(1000 * since).toLocaleTimeString([], { hour12: false })}`);
     const texts = highest?.force == null || highest.peak == null ? ["–", "–", "–", "–"] : [
@@ -325,20 +325,19 @@ export class Regions {
     const span = Number(this._span.value);
     const { session } = this._viewer;
     const until = session instanceof Session ? session.until : null;
-    const still = until === null ? "" : [region.name, span, until, quantity, threshold?.above].join();
+    const still = until === null ? "" : [region.name, span, until, quantity, above].join();
     const link = /** @type {HTMLAnchorElement} */ (byId("region-csv"));
     link.href = api.regionCsv(this._owner, region.name, span, until);
     link.download = `${this._owner}-${region.name}.csv`;
     if (still && still === this._still) return;
     try {
-      const series = await api.regionSeries(this._owner, region.name, span, until, CHART_POINTS);
-      const { time, [quantity]: values = [] } = series;
+      const { time, [quantity]: values = [] } = await api.regionSeries(this._owner, region.name, span, until, CHART_POINTS);
       const of = gappedLine(time, values, MAX_GAP_S + span / CHART_POINTS, "restored");
       of.zero = time[time.length - 1] ?? 0;
       this._still = still;
-      const limit = gappedLine([-span, 0], [threshold?.above ?? NaN, threshold?.above ?? NaN], Infinity, "accent", LIMIT_DASHES);
+      const limit = gappedLine([-span, 0], [above, above], Infinity, "accent", LIMIT_DASHES);
       const least = unit ? 100 : quantity === "force" ? 0.1 : 1; // so that noise does not fill the chart
-      const top = roundUp(Math.max(least, threshold?.above ?? 0, ...of.y.filter(Number.isFinite)));
+      const top = roundUp(Math.max(least, ...[above, ...of.y].filter(Number.isFinite)));
       this._chart.draw({ left: -span, right: 0, bottom: 0, top, x: "time, s", y: unitOfQuantity(quantity, unit) }, [limit, of]);
     } catch (error) {
       notice(`Series of ${region.name}: ${messageOf(error)}`, true);
