@@ -103,14 +103,11 @@ class Finder:
         parts[picture <= np.maximum(SKIRT_SHARE * np.maximum(highest, tops[parts]), threshold[parts])] = 0
         self._keep(parts, shares)
         skirts = np.where(self._felt, expand_labels(parts, 1), 0)
-        scale = FORCE_SCALES[unit]
         cut = np.unique(skirts[self._felt & np.isnan(image)])  # by an unknown cell
-        numbers = np.setdiff1d(parts[parts > 0], cut).tolist()
+        numbers = np.setdiff1d(parts[parts > 0], cut)
         if shares is not None:
-            numbers = [n for n in numbers if is_known(shares[parts == n].mean(), summed=True)]
-        cells = ([np.flatnonzero(each == n) for each in (parts, skirts)] for n in numbers)
-        most = 0.5 * float(np.maximum(pressure, 0).sum())
-        contacts = [self._measure(pressure.ravel(), spread.ravel(), most, scale, *each) for each in cells]
+            numbers = np.array([n for n in numbers if is_known(shares[parts == n].mean(), summed=True)], int)
+        contacts = self._measured(pressure, spread, FORCE_SCALES[unit], parts, skirts, numbers)
         return sorted(contacts, key=lambda contact: -contact.force)
 
     def _keep(self, parts: Labels, shares: Floats32 | None) -> None:
@@ -118,38 +115,52 @@ class Finder:
         if shares is None:
             self.parts = parts
 
-    def _measure(
-        self, pressure: Floats, deviation: Reals, most: float, force_scale: float, pressed: Labels, skirt: Labels
-    ) -> DetectedContact:
-        """Measure a contact: force and place with the skirt round the cells that are clearly pressed.
+    def _measured(
+        self,
+        pressure: Floats,
+        deviation: Reals,
+        force_scale: float,
+        parts: Labels,
+        skirts: Labels,
+        numbers: Labels,
+    ) -> list[DetectedContact]:
+        """Measure contacts by number: force and place with the skirt round the cells that are clearly pressed.
 
-        The errors of its cells count as independent: in `tests.bench border` 94 % of the forces are within two
-        deviations, as they are of cells. A force between none and all of the image's deviates by half of that at
-        `most`, a sum over cells.
+        The errors of a contact's cells count as independent: in `tests.bench border` 94 % of the forces are within
+        two deviations, as they are of cells. A force between none and all of the image's deviates by half of that
+        at most.
         """
-        area = self._cells.side**2
-        force = pressure[skirt] * area  # unit of pressure times mm^2
-        places = self._cells.positions[skirt]
-        weight = np.maximum(force, 0) / np.maximum(force, 0).sum()  # negative ringing has no part in the centre
-        centre = weight @ places
-        offset = places - centre
-        within_cells = area / 12  # mm^2, variance of the even pressure inside a square cell
-        covariance = (weight[:, None] * offset).T @ offset + within_cells * np.eye(2)
-        minor, major = np.sqrt(np.maximum(np.linalg.eigvalsh(covariance), 0.0))
-        angle = 0.5 * np.arctan2(2 * covariance[0, 1], covariance[0, 0] - covariance[1, 1])
-        return DetectedContact(
-            id=0,
-            x_mm=float(centre[0]),
-            y_mm=float(centre[1]),
-            force=float(force.sum()) * force_scale,
-            area_mm2=area * len(pressed),
-            peak=float(pressure[pressed].max()),
-            major_mm=float(major),
-            minor_mm=float(minor),
-            angle_rad=float(angle),
-            cut_off=bool(self._border.ravel()[pressed].any()),
-            force_deviation=min(float(np.linalg.norm(deviation[skirt])), most) * area * force_scale,
+        area, count, of = self._cells.side**2, int(parts.max()) + 1, skirts.ravel()
+
+        def sums(values: Reals, labels: Labels = of) -> Floats:
+            """Of the cells of each contact, (contacts,)."""
+            return np.asarray(np.bincount(labels, values.ravel(), count)[numbers], float)
+
+        load = np.maximum(pressure.ravel(), 0)  # negative ringing has no part in the centre
+        centre = np.zeros((count, 2))
+        centre[numbers] = (
+            np.stack([sums(load * each) for each in self._cells.positions.T], 1) / sums(load)[:, None]
         )
+        x, y = (self._cells.positions - centre[of]).T
+        within_cell = area / 12  # mm^2, variance of the even pressure inside a square cell
+        xx, yy, xy = (sums(load * each) / sums(load) for each in (x * x, y * y, x * y))
+        middle, radius = (xx + yy) / 2 + within_cell, np.hypot((xx - yy) / 2, xy)  # of Mohr's circle
+        most = 0.5 * float(load.sum())
+        peaks = np.zeros(count)
+        np.maximum.at(peaks, parts, pressure)
+        each = zip(
+            centre[numbers].tolist(),
+            (sums(pressure) * area * force_scale).tolist(),
+            (sums(np.ones(of.shape), parts.ravel()) * area).tolist(),
+            peaks[numbers].tolist(),
+            np.sqrt(middle + radius).tolist(),
+            np.sqrt(np.maximum(middle - radius, 0)).tolist(),
+            (0.5 * np.arctan2(2 * xy, xx - yy)).tolist(),
+            (sums(self._border.astype(float), parts.ravel()) > 0).tolist(),
+            (np.minimum(np.sqrt(sums(np.square(deviation))), most) * area * force_scale).tolist(),
+            strict=True,
+        )
+        return [DetectedContact(0, *centre, *others) for centre, *others in each]
 
 
 def _ends(array: Array, cells: Raster) -> Mask:
