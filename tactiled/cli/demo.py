@@ -64,7 +64,7 @@ def demo(
     shear: Annotated[
         bool, typer.Option("--shear", help="Simulate a 3-axis skin instead, 4 x 6 taxels; its shear is made up.")
     ] = False,
-    rate_hz: Annotated[float, typer.Option(help="Frames a second.", min=0.1, max=1000)] = 100.0,
+    rate_hz: Annotated[float, typer.Option(help="Frames a second.", min=0.1, max=1000)] = 60.0,
     host: Annotated[str, typer.Option(help="Address to serve on.")] = "127.0.0.1",
     port: Annotated[int, typer.Option(help="Port to serve on; 0: any free one.", min=0, max=65535)] = 8000,
     foxglove: options.Foxglove = None,
