@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from tactiled.arrays import Floats, Floats32, Mask, Reals
 from tactiled.contacts.felt import is_known
+from tactiled.core import contacts as core
 from tactiled.geometry import Array, Raster
 from tactiled.units import FORCE_SCALES, PRESSURE, Unit
 
@@ -20,7 +21,7 @@ CONTINUE_SIGMAS = 3.0  # down to which one that has begun goes on; also the leas
 NEAR_PITCHES = 8.0  # around a peak where restoration may ring: there it counts in full
 FAR_PEAK_SHARE = 0.2  # part of a more distant peak that counts
 SKIRT_SHARE = 0.1  # of the highest of these: a lower cell is a skirt, or rings
-MAX_PEAKS = 512  # of an image: the time of all steps grows with the square of their number
+MAX_CONTACTS = 512  # of an image, those with the highest peaks: the time to track them grows with their square
 DIP_SHARE = 0.3  # of the same: depth of the dip between two contacts
 PART_SHARE, JOIN_SHARE = 0.4, 0.2  # the same if they were one contact, or two, in the image before
 DIP_DEVIATIONS, CLEAR_SHARE = 1.5, 0.5  # of the lower peak's, but of no more than this share of it: also the depth
@@ -82,8 +83,7 @@ class Finder:
         if peak <= (go_on if faint else begin):
             self._keep(np.zeros_like(self.parts), shares)
             return []
-        from scipy.ndimage import maximum_filter  # the first contact imports it, and scikit-image
-        from skimage.segmentation import expand_labels
+        from scipy.ndimage import maximum_filter  # the first contact imports it
 
         picture = np.where(self._felt, pressure, -np.inf)
         highest = maximum_filter(np.maximum(picture, FAR_PEAK_SHARE * peak), self._near)
@@ -91,7 +91,10 @@ class Finder:
         spread = deviation() if deviation else np.full(pressure.shape, nan)
         doubt = np.zeros(pressure.shape) if blurred else DIP_DEVIATIONS * spread
         least = np.fmax(go_on, np.minimum(doubt, CLEAR_SHARE * picture))
-        parts = _split(picture, picture > go_on, highest, least, was)
+        pressed = np.flatnonzero(picture > go_on)
+        order = pressed[np.argsort(-picture.ravel()[pressed], kind="stable")]
+        parts = np.zeros_like(self.parts)
+        core.split(picture, order, highest, least, was, (PART_SHARE, JOIN_SHARE, DIP_SHARE), SKIRT_SHARE, parts)
         tops = np.full(int(parts.max()) + 1, -np.inf)
         np.maximum.at(tops, parts, picture)
         tops[0] = np.inf
@@ -102,9 +105,12 @@ class Finder:
         threshold[~clear] = np.inf
         parts[picture <= np.maximum(SKIRT_SHARE * np.maximum(highest, tops[parts]), threshold[parts])] = 0
         self._keep(parts, shares)
-        skirts = np.where(self._felt, expand_labels(parts, 1), 0)
+        skirts = np.empty_like(parts)
+        core.widen(parts, picture, skirts)
+        skirts[~self._felt] = 0
         cut = np.unique(skirts[self._felt & np.isnan(image)])  # by an unknown cell
         numbers = np.setdiff1d(parts[parts > 0], cut)
+        numbers = numbers[np.argsort(-tops[numbers], kind="stable")[:MAX_CONTACTS]]
         if shares is not None:
             numbers = np.array([n for n in numbers if is_known(shares[parts == n].mean(), summed=True)], int)
         contacts = self._measured(pressure, spread, FORCE_SCALES[unit], parts, skirts, numbers)
@@ -172,59 +178,3 @@ def _ends(array: Array, cells: Raster) -> Mask:
     ends[:, 0] |= left
     ends[:, -1] |= right
     return ends
-
-
-def _split(picture: Floats, pressed: Mask, highest: Floats, least: Reals, was: Labels) -> Labels:
-    """Number the pressed squares by contact: basins around peaks with a dip or a skirt between them; 0 elsewhere.
-
-    A dip has at least the depth `least` of the lower peak's square. `was` are the squares' numbers in the image
-    before, 0 for none.
-    """
-    from skimage.measure import label
-    from skimage.morphology import local_maxima
-    from skimage.segmentation import watershed
-
-    peaks: Labels = label(local_maxima(np.where(pressed, picture, 0.0)) & pressed)
-    peaks = _highest(peaks, picture)
-    basins: Labels = watershed(-picture, peaks, connectivity=2, mask=pressed)
-    square = np.zeros(int(peaks.max()) + 1, np.int64)  # of each peak
-    square[peaks.ravel()] = np.arange(peaks.size)
-    merged = np.arange(len(square))
-    top, high_near, shallow, was_at = (each.ravel()[square] for each in (picture, highest, least, was))
-    for one, other, saddle in _saddles(picture, basins):
-        low, high = sorted((merged[one], merged[other]), key=lambda each: (top[each], each))
-        both = was_at[low] and was_at[high]
-        share = (PART_SHARE if was_at[low] == was_at[high] else JOIN_SHARE) if both else DIP_SHARE
-        deep = top[low] - saddle >= max(shallow[low], share * high_near[low])
-        if low != high and not (deep or saddle < SKIRT_SHARE * high_near[low] < top[low]):
-            merged[merged == low] = high
-    return merged[basins]
-
-
-def _highest(peaks: Labels, picture: Floats) -> Labels:
-    """The peaks, numbered anew where there are more than MAX_PEAKS: the highest."""
-    height = np.zeros(int(peaks.max()) + 1)
-    height[peaks.ravel()] = picture.ravel()
-    if len(height) <= MAX_PEAKS + 1:
-        return peaks
-    number = np.zeros(len(height), np.int64)
-    number[1 + np.argsort(-height[1:], kind="stable")[:MAX_PEAKS]] = np.arange(1, MAX_PEAKS + 1)
-    return number[peaks]
-
-
-def _saddles(picture: Floats, basins: Labels) -> list[tuple[int, int, float]]:
-    """Each two basins that meet, and the highest saddle between them; the highest first."""
-    halves = (
-        (np.s_[:, :-1], np.s_[:, 1:]),
-        (np.s_[:-1], np.s_[1:]),
-        (np.s_[:-1, :-1], np.s_[1:, 1:]),
-        (np.s_[:-1, 1:], np.s_[1:, :-1]),
-    )
-    pairs = [(basins[a], basins[b], np.minimum(picture[a], picture[b])) for a, b in halves]
-    one, other, saddle = (np.concatenate([each[n].ravel() for each in pairs]) for n in range(3))
-    low, high = np.minimum(one, other), np.maximum(one, other)
-    meet = np.flatnonzero((low > 0) & (low < high))
-    order = meet[np.argsort(-saddle[meet], kind="stable")]
-    _, first = np.unique(low[order] * (basins.max() + 1) + high[order], return_index=True)
-    order = order[np.sort(first)]
-    return list(zip(low[order].tolist(), high[order].tolist(), saddle[order].tolist(), strict=True))

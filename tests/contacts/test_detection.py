@@ -3,7 +3,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from tactiled.contacts.detection import MAX_PEAKS, DetectedContact, Finder
+from tactiled.contacts.detection import MAX_CONTACTS, DetectedContact, Finder
 from tactiled.contacts.tracking import Tracker
 from tactiled.geometry import grid, layout, raster
 from tactiled.restore.methods import make
@@ -88,8 +88,8 @@ def test_of_more_peaks_than_any_skin_shows_the_highest_are_contacts():
     array, image = grid(64, 64, 1.0), np.zeros((64, 64), np.float32)
     image[::2, ::2] = np.random.default_rng(0).uniform(50.0, 100.0, (32, 32))
     contacts = Finder(array, raster(array, 1))(image, 0.01)
-    assert len(contacts) == MAX_PEAKS
-    assert min(each.peak for each in contacts) == np.sort(image, axis=None)[-MAX_PEAKS]
+    assert len(contacts) == MAX_CONTACTS
+    assert min(each.peak for each in contacts) == np.sort(image, axis=None)[-MAX_CONTACTS]
 
 
 def test_axes_and_angle_on_refined_cells():
