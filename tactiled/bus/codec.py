@@ -74,6 +74,7 @@ class Codec(ABC):
 
     modulus: int | None = None  # number at which the sequence counter wraps; None where the skin sends none
     bad_flag = BAD  # of the taxels that its readings call bad; MISSING where a frame just lacks them
+    rounds = True  # its readings are rounded to whole counts
     source: bytes = b""  # the file beside the settings that it was made from
 
     @cached_property

@@ -8,7 +8,7 @@ from tactiled.core import readings
 from tactiled.diagnostics.checks import NOISE_RATIO
 from tactiled.diagnostics.warning_codes import warning
 from tactiled.frames import FrameWarning
-from tactiled.restore.noise import estimate
+from tactiled.restore.noise import noise_of
 from tactiled.units import Unit
 
 NOISE_FRAMES = 32  # from which the noise is measured, to 3 % on 64 taxels
@@ -18,9 +18,14 @@ NOISE_PAUSE_FRAMES = 992  # until it is measured again: every 10 s at 100 Hz
 class Noise:
     """Standard deviation of a taxel, in `unit`: as configured, else of the first frames; measured now and then."""
 
-    def __init__(self, calibration: Calibration, unit: Unit, before: "Noise | None" = None) -> None:
-        """`before` is of the same array with another gain: its noise in counts is the start."""
-        self._unit = unit
+    def __init__(
+        self, calibration: Calibration, unit: Unit, before: "Noise | None" = None, rounds: bool = True
+    ) -> None:
+        """`before` is of the same array with another gain: its noise in counts is the start.
+
+        `rounds`: all readings are whole counts; else those that differ by whole counts are.
+        """
+        self._unit, self._rounds = unit, rounds
         self._floor, self._configured = calibration.floor_kpa, calibration.noise_kpa
         self.kpa: float = self._configured or self._floor * (before.kpa / before._floor if before else 1.0)
         self.warning: tuple[FrameWarning, ...] = ()
@@ -44,7 +49,7 @@ class Noise:
         has_value = readings.look(raw.reshape(-1))[2] > 0
         self._frames += [raw] if has_value else []
         if len(self._frames) == NOISE_FRAMES:
-            self._compare(max(self._floor, estimate(np.stack(self._frames))))
+            self._compare(noise_of(np.stack(self._frames), self._floor, self._rounds))
             self._frames, self._pause = [], NOISE_PAUSE_FRAMES
         elif not self.settled:
             self.warning = (warning("noise_unknown"),) if has_value else ()

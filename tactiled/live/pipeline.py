@@ -43,7 +43,7 @@ class Pipeline:
         `start` runs what takes longer than a frame: on a thread, or at once, for the same warnings in every run.
         """
         self._plan = plan
-        self.noise: Noise = Noise(plan.calibration, plan.unit, before.noise if before else None)
+        self.noise: Noise = Noise(plan.calibration, plan.unit, before.noise if before else None, plan.codec.rounds)
         self._chain = Chain(plan, self.noise.kpa)
         self.calibrator = self._chain.calibrator
         self.deviation, self.surface = self._chain.deviation, self._chain.surface

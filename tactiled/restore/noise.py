@@ -15,6 +15,8 @@ UNRELATED_STEP = 0.5  # of the frames' mean square: successive frames that diffe
 PRESSED_MEAN = 0.02  # of the mean square is the squared mean, at least, where something is pressed
 NOISY_RATIO = 2.0  # to the common noise; of healthy taxels it was 1.5 at most on the tours of `tests.bench health`
 QUIET_RATIO = 1.6  # below which a noisy taxel is so no more
+SAME_SIZE = 1e-3  # of a size: a smaller difference is that of rounded arithmetic
+ROUNDING_ERROR = 0.02  # steps: the same, of a difference that is whole steps
 CHANGED_RATIO = 1.25  # by which a noisy taxel's noise changes before that matters
 
 
@@ -37,6 +39,12 @@ def estimate(frames: NDArray[np.floating]) -> float:
         sigma = min(sigma, _sigma(across, 6.0 ** len(axes)) if axes else np.inf)
     finite = np.abs(values[np.isfinite(values)])
     return max(sigma if np.isfinite(sigma) else 0.0, MIN_OVER_PEAK * float(finite.max(initial=0.0)))
+
+
+def noise_of(frames: NDArray[np.floating], floor: float, rounds: bool) -> float:
+    """Noise as of `estimate`; at least `floor`, that of rounding, where readings are rounded, or seem to be."""
+    found = estimate(frames)
+    return max(found, floor) if rounds or is_rounded(frames, floor * 12**0.5) else found
 
 
 def bends(values: NDArray[np.floating]) -> Floats:
@@ -78,7 +86,29 @@ def noise_ratio(noise_kpa: Floats, common_kpa: float, before: Floats | None = No
 def _sigma(differences: Floats, variance: float) -> float:
     """Standard deviation of what has differences of `variance` times its own; infinite where there are none."""
     size = np.abs(differences[np.isfinite(differences)])
-    return MAD_TO_SIGMA * float(np.median(size)) / np.sqrt(variance) if size.size else np.inf
+    return MAD_TO_SIGMA * _median(size) / np.sqrt(variance) if size.size else np.inf
+
+
+def _median(size: Floats) -> float:
+    """Median of sizes (n,), not below 0; within its class where they are whole multiples of a step.
+
+    As of grouped data: the sizes of a class are spread evenly between the middles to the next classes. Of rounded
+    readings the plain median would be a whole number of steps.
+    """
+    middle = float(np.partition(size, (size.size - 1) // 2)[(size.size - 1) // 2])
+    same = SAME_SIZE * middle
+    below, above = size[size < middle - same], size[size > middle + same]
+    low = (float(below.max()) + middle) / 2 if below.size else 0.0
+    high = (float(above.min()) + middle) / 2 if above.size else middle
+    rank = (size.size / 2 - below.size) / (size.size - below.size - above.size)
+    return low + rank * (high - low)
+
+
+def is_rounded(values: NDArray[np.floating], step: float) -> bool:
+    """Whether the known ones of frames (T, ...) differ in time by whole multiples of a step, as counts do."""
+    steps = np.diff(np.asarray(values, float), axis=0) / step
+    steps = steps[np.isfinite(steps)]
+    return bool((np.abs(steps - np.round(steps)) <= ROUNDING_ERROR).all())
 
 
 def _unrelated(values: Floats) -> bool:

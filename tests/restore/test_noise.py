@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from tactiled.restore.noise import estimate, noise_ratio
+from tactiled.restore.noise import estimate, is_rounded, noise_of, noise_ratio
 
 
 def press(frames, sigma, peak=100.0):
@@ -16,6 +16,24 @@ def press(frames, sigma, peak=100.0):
 @pytest.mark.parametrize("frames", [3, 10, 100])
 def test_noise_under_a_moving_press(frames, sigma):
     assert estimate(press(frames, sigma)) == pytest.approx(sigma, rel=0.12)
+
+
+@pytest.mark.parametrize("sigma", [0.6, 0.7, 0.8, 1.5, 2.1])
+def test_noise_of_whole_counts_is_no_whole_number_of_steps(sigma):
+    """It came in steps of .605 counts: 30 % below the true one at .8, so that noise was a contact."""
+    counts = np.round(80 + np.random.default_rng(1).normal(0, sigma, (32, 10, 16)))
+    pressure = (0.05 * counts).astype(np.float32) - np.float32(3.987)
+    assert estimate(pressure) == pytest.approx(0.05 * np.hypot(sigma, 12**-0.5), rel=0.05)
+
+
+def test_only_rounded_readings_have_the_noise_of_rounding():
+    floats = np.random.default_rng(2).normal(0, 0.02, (32, 8, 6)).astype(np.float32)
+    floats[0, 0, 0] = np.nan
+    assert noise_of(floats, 12**-0.5, rounds=False) == pytest.approx(0.02, rel=0.1)
+    whole = np.round(3 * floats / 0.02) + 0.3  # over a zero that is no whole count
+    assert not is_rounded(floats, 1.0)
+    assert is_rounded(whole, 1.0)
+    assert noise_of(0 * whole, 12**-0.5, rounds=False) == noise_of(0 * floats, 12**-0.5, rounds=True) == 12**-0.5
 
 
 @pytest.mark.parametrize("frames", [1, 2])

@@ -39,7 +39,7 @@ class Pushed(Codec):
 
     taxels: int
 
-    modulus, full_scale, bad_flag = 1 << 32, 0xFFFF, MISSING
+    modulus, full_scale, bad_flag, rounds = 1 << 32, 0xFFFF, MISSING, False
 
     @cached_property
     def size(self) -> int:

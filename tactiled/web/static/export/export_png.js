@@ -200,11 +200,9 @@ class Sheet {
       this._pen.fillStyle = colormap.css[i];
       this._pen.fillRect(x, TOP_PX + h * (1 - (i + 1) / 256), 20, h / 256 + 1);
     }
-    if (!colormap.signed) {
-      for (const [color, y] of [[ABOVE, TOP_PX - 7], [BELOW, TOP_PX + h + 1]]) {
-        this._pen.fillStyle = colormap.css[color];
-        this._pen.fillRect(x, y, 20, 6);
-      }
+    for (const [color, y] of [[ABOVE, TOP_PX - 7], [BELOW, TOP_PX + h + 1]]) {
+      this._pen.fillStyle = colormap.css[color];
+      this._pen.fillRect(x, y, 20, 6);
     }
     const span = range.high - range.low;
     for (const value of endsAndTicks(range.low, range.high, h / TICK_GAP_PX)) {

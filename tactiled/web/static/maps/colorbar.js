@@ -77,12 +77,10 @@ export class Colorbar {
     draw.fillStyle = ramp;
     if (standing) draw.fillRect(0, end, BAR, length);
     else draw.fillRect(end, 0, length, BAR);
-    if (!colormap.signed) {
-      for (const [color, at] of /** @type {const} */ ([[ABOVE, standing ? end - CAP - 1 : end + length + 1], [BELOW, standing ? end + length + 1 : end - CAP - 1]])) {
-        draw.fillStyle = colormap.css[color];
-        if (standing) draw.fillRect(0, at, BAR, CAP);
-        else draw.fillRect(at, 0, CAP, BAR);
-      }
+    for (const [color, at] of /** @type {const} */ ([[ABOVE, standing ? end - CAP - 1 : end + length + 1], [BELOW, standing ? end + length + 1 : end - CAP - 1]])) {
+      draw.fillStyle = colormap.css[color];
+      if (standing) draw.fillRect(0, at, BAR, CAP);
+      else draw.fillRect(at, 0, CAP, BAR);
     }
     draw.fillStyle = ink.text;
     draw.strokeStyle = ink.muted;

@@ -4,14 +4,16 @@
 
 export const BELOW = 256; // index of what is clearly below zero,
 export const ABOVE = 257; // and of what is above the range
-/** @type {Color[]} that no colour map has at that end */
+/** @type {Color[]} that no colour map of pressures has at that end, */
 const BEYOND = [[122, 140, 255], [0, 229, 255]];
+/** @type {Color[]} and that of differences has not */
+const BEYOND_SIGNED = [[0, 229, 255], [255, 196, 0]];
 
 /** The 256 colours and those of BEYOND, as pixels and as CSS. */
 export class Colormap {
-  /** @param {Color[]} colors @param {boolean} [signed] values below zero are nothing special */
+  /** @param {Color[]} colors @param {boolean} [signed] it is of differences: below is what is below its range */
   constructor(colors, signed = false) {
-    const all = [...colors, ...BEYOND];
+    const all = [...colors, ...(signed ? BEYOND_SIGNED : BEYOND)];
     /** One little-endian RGBA word a colour. */
     this.rgba = Uint32Array.from(all, ([r, g, b]) => ((255 << 24) | (b << 16) | (g << 8) | r) >>> 0);
     this.css = all.map(([r, g, b]) => `rgb(${r} ${g} ${b})`);
@@ -25,7 +27,7 @@ export class Colormap {
    */
   index(value, range) {
     if (value > range.high) return ABOVE;
-    if (!this.signed && value < range.floor) return BELOW;
+    if (value < (this.signed ? range.low : range.floor)) return BELOW;
     const level = ((value - range.low) * 256) / (range.high - range.low);
     return level <= 0 ? 0 : level >= 255 ? 255 : level | 0;
   }

@@ -158,7 +158,8 @@ export class Regions {
       setText(cells[4], now?.area == null ? "–" : number(now.area));
       return now ?? null;
     });
-    const exceeded = this._regions.map((region, i) => session instanceof Session ? region.exceeded : held.kind === "now" && isAbove(region, this._values[i]));
+    const live = session instanceof Session && !session.paused;
+    const exceeded = this._regions.map((region, i) => held.kind === "now" && isAbove(region, this._values[i], live && region.exceeded));
     if (String(exceeded) === String(this._exceeded)) return;
     this._exceeded = exceeded;
     this._draw();
@@ -345,7 +346,9 @@ export class Regions {
   }
 }
 
-/** @param {Region} region @param {RegionMeasures|null} value of it @returns {boolean} */
-function isAbove({ threshold }, value) {
-  return threshold !== null && value !== null && value[threshold.quantity] > threshold.above;
+/** @param {Region} region @param {RegionMeasures|null} value of it in a frame @param {boolean} between whether it is where the value does not tell @returns {boolean} */
+function isAbove({ threshold }, value, between) {
+  if (!threshold) return false;
+  const of = value?.[threshold.quantity] ?? null;
+  return of === null ? between : of > threshold.above || (between && of >= threshold.below);
 }
