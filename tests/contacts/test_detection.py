@@ -291,7 +291,7 @@ def test_a_ring_whose_dips_are_near_the_bound_keeps_its_ids_until_a_dip_is_clear
         track = Tracker(1.0)
         assert len(find(100 * ring * (1 + share * wave), NOISE)) == len(ids)
         for seed in range(20):
-            image = noisy(100 * ring * (1 + 0.177 * wave), 2.0, seed)
+            image = noisy(100 * ring * (1 + 0.22 * wave), 2.0, seed)
             named = track(find(image, NOISE, before=find.parts), 0.05 * seed, 5 * NOISE)
             assert {each.id for each in named} == ids
 
