@@ -10,6 +10,7 @@ from tests.conftest import Rig, ask, meanwhile, pressed
 from tests.viewer.conftest import CONTACTS, DESK, PAINTINGS, PAUSED, PHONE, SCROLL_WIDTH, TOUCH, WATCH_TEXTS
 
 ABOVE = (0, 229, 255)
+ABOVE_DIFFERENCE = (255, 196, 0)  # beside the red of the differences
 FRAMES = "['raw-frame', 'restored-frame'].map(id => document.getElementById(id).getBoundingClientRect().toJSON())"
 
 
@@ -36,6 +37,8 @@ def test_an_address_keeps_a_view_of_the_difference_and_on_the_slider_raw_ends_wh
     signed = page.pixels("difference")[..., :3]
     within = np.abs(difference) < high
     assert (np.abs(signed - colors_of(url, "RdBu_r")[levels])[within] <= 6).all()
+    assert (signed[difference > high] == ABOVE_DIFFERENCE).all()
+    assert (difference > high).any()
     assert not page.locator("#raw").is_visible()
     page.evaluate(WATCH_TEXTS)
     page.download("s")

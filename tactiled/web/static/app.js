@@ -139,10 +139,12 @@ async function loadOffers() {
   calibration.isDemo = demo;
   byId("recordings-demo").hidden = !(demo && offered.has("/recordings"));
   const contacts = loadSetting(CONTACTS_KEY) ?? String(!demo); // the demo's are many, and lie over what is restored
+  const shown = /** @type {HTMLInputElement} */ (byId("contacts-on"));
   if (contacts === "false") {
-    /** @type {HTMLInputElement} */ (byId("contacts-on")).checked = false;
+    shown.checked = false;
     viewer.showContacts(false);
   }
+  shown.disabled = false;
   byId("demo").hidden = !demo || loadSetting(DEMO_KEY) !== null;
   await viewer.view.load();
 }

@@ -40,7 +40,7 @@ export class Regions {
     this._inside = null;
     /** @type {(RegionMeasures|null)[]} of each, in the frame that is shown */
     this._values = [];
-    /** @type {boolean[]} which are above their threshold: of a recording, in the frame that is shown; live, as the service says */
+    /** @type {boolean[]} which are above their threshold in the frame that is shown; of a live one that does not tell, as the service says */
     this._exceeded = [];
     this._sensor = ""; // whose regions are in the list; another one than is watched until the next look
     this._owner = ""; // sensor of the region in the dialog
@@ -69,6 +69,7 @@ export class Regions {
     byId("region-delete").addEventListener("click", (event) => confirmed(/** @type {HTMLButtonElement} */ (event.currentTarget)) && this._act("Not deleted", (name) => api.removeRegion(this._owner, name), true));
     byId("region-reset").addEventListener("click", () => this._act("Not reset", (name) => api.resetRegion(this._owner, name), false));
     byId("region-close").addEventListener("click", () => this._dialog.close());
+    byId("region-form").addEventListener("input", () => setText(byId("region-close"), "Cancel")); // of what was changed
     this._dialog.addEventListener("close", () => this._draw());
     this._span.addEventListener("change", () => this._plot());
     this._limit.addEventListener("change", () => this._showLimit());

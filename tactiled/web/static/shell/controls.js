@@ -14,7 +14,7 @@ import { PlaybackSession } from "../playback/playback_session.js";
 import { provenance } from "../export/provenance.js";
 import { methodTitle } from "./readings.js";
 import { reportHtml } from "../export/report.js";
-import { saveSetting } from "./storage.js";
+import { loadSetting, saveSetting } from "./storage.js";
 import { tare, undoTare } from "../calibration/tare.js";
 import { timeOffset } from "./timeline.js";
 import { SHEAR } from "../wire/wire.js";
@@ -44,6 +44,7 @@ import { withToken } from "../wire/token_dialog.js";
  */
 
 export const CONTACTS_KEY = "tactiled.contacts"; // whether they are shown
+const PATH_KEY = "tactiled.path"; // whether that of the centre of pressure is shown
 
 const CHARTS = ["section", "forces", "plot-chart"]; // of a report
 
@@ -72,8 +73,10 @@ function buttons(viewer, targets) {
   const path = /** @type {HTMLInputElement} */ (byId("path-on"));
   hold.addEventListener("change", () => viewer.hold(/** @type {import("../maps/held_image.js").Held} */ (hold.value)));
   press("hold-reset", () => viewer.hold("peak"));
+  path.checked = viewer.path = loadSetting(PATH_KEY) === "true";
   path.addEventListener("change", () => {
     viewer.path = path.checked;
+    saveSetting(PATH_KEY, String(path.checked));
     viewer.refresh();
   });
   press("section-turn", () => turn(viewer));
