@@ -55,7 +55,7 @@ test("a request of before does not end playback where it fails", async () => {
   let tick, answer;
   globalThis.requestAnimationFrame = (each) => { tick = each; };
   globalThis.fetch = () => new Promise((resolve) => { answer = resolve; });
-  const session = new PlaybackSession("palm", plane, [0, 1], false, { name: "grasp.log", frames: 9 }, {
+  const session = new PlaybackSession("palm", plane, [0, 1], false, false, { name: "grasp.log", frames: 9 }, {
     onFrame() {}, onChange: () => assert.fail("it said so"),
   });
   tick(0);

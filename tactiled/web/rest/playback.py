@@ -97,7 +97,34 @@ class MethodQuery(SensorQuery):
     method: schemas.MethodName | None = Field(None, description="left out: the one that is selected live")
 
 
-class FramesQuery(MethodQuery):
+class FrameContacts(schemas.FrameId):
+    """The contacts in one frame of a recording."""
+
+    number: int = Field(description="in the recording, from 0", examples=[512])
+    contacts: tuple[schemas.Contact, ...] = Field(description="strongest first, numbered in each frame anew")
+
+
+class PlayedContacts(schemas.Schema):
+    """The contacts in some frames of a recording."""
+
+    force_unit: ForceUnit = Field(examples=["N"])
+    frames: list[FrameContacts]
+
+
+class SomeFrames(MethodQuery):
+    """How many frames."""
+
+    count: int = Field(1, ge=1, le=MAX_FRAMES, description="frames at most; fewer if restoring them takes long")
+    step: int = Field(1, ge=1, le=100_000, description="from one frame to the next")
+
+
+class ContactsQuery(SomeFrames):
+    """Which frames."""
+
+    first: int = Field(0, ge=0, le=1 << 53, description="number of the first frame, from 0")
+
+
+class FramesQuery(SomeFrames):
     """Which frames."""
 
     first: int | None = Field(
@@ -109,8 +136,6 @@ class FramesQuery(MethodQuery):
         le=MAX_POSITION_S,
         description="instead of `first`: the last frame that had come at this position, s",
     )
-    count: int = Field(1, ge=1, le=MAX_FRAMES, description="frames at most; fewer if restoring them takes long")
-    step: int = Field(1, ge=1, le=100_000, description="from one frame to the next")
     shear: bool = Field(False, description="whether its shear comes behind raw and restored")
     traction: bool = Field(False, description="whether its shear comes behind these as restored")
 
@@ -265,6 +290,28 @@ def _images(playbacks: Playbacks, query: FramesQuery, sensor: Sensor, recorded: 
     return Response(b"".join(messages), media_type=MEDIA["file"], headers=headers)
 
 
+def _contacts(playbacks: Playbacks, query: ContactsQuery, sensor: Sensor, recorded: RecordedFrames) -> Response:
+    """Contacts in some frames, restored until ANSWER_S have passed."""
+    need_frame(sensor, recorded, query.first)
+    playback, method = playbacks.playback(sensor, recorded), query.method or sensor.method
+    last = min(recorded.count(sensor.name), query.first + query.count * query.step)
+    frames, end = [], time.monotonic() + ANSWER_S
+    for number in range(query.first, last, query.step):
+        image = playback.image(number, method)
+        frames.append(
+            FrameContacts(
+                number=number,
+                sequence=image.sequence,
+                timestamp=image.time,
+                contacts=answers.listed(playback.contacts(image), image.unit),
+            )
+        )
+        if time.monotonic() > end:
+            break
+    found = PlayedContacts(force_unit=FORCE_UNITS[sensor.plan.unit], frames=frames)
+    return Response(found.model_dump_json(), media_type=MEDIA["json"])
+
+
 def _frame(
     playbacks: Playbacks, number: int, method: str | None, sensor: Sensor, recorded: RecordedFrames
 ) -> Response:
@@ -322,6 +369,11 @@ def make(recordings: Recordings, playbacks: Playbacks) -> APIRouter:
         if query.first is not None and query.at is not None:
             raise Problem(422, "first and at: give one of them")
         return await answer(request, name, query, partial(_images, playbacks, query))
+
+    @router.get("/contacts", response_model=PlayedContacts, responses=faults)
+    async def contacts(name: FileName, request: Request, query: Annotated[ContactsQuery, Query()]) -> Response:
+        """Get the contacts in frames of a recording."""
+        return await answer(request, name, query, partial(_contacts, playbacks, query))
 
     @router.get("/frames/{number}", response_model=PlayedFrame, responses=faults)
     async def frame(

@@ -140,6 +140,17 @@ def test_frames_in_any_order_are_those_of_a_replay(client, folder):
     assert lost
 
 
+def test_contacts_of_frames_are_those_of_each_alone(client):
+    opened(client, "a.log")
+    query = PALM | {"first": 10, "count": 4, "step": 20}
+    frames = client.get("/a.log/contacts", params=query).json()["frames"]
+    alone = [client.get(f"/a.log/frames/{number}", params=PALM).json() for number in (10, 30, 50)]
+    keys = ("number", "sequence", "timestamp", "contacts")
+    assert frames == [{key: each[key] for key in keys} for each in alone]
+    assert any(each["contacts"] for each in frames)
+    assert client.get("/a.log/contacts", params=PALM | {"first": FRAMES}).status_code == 404
+
+
 def test_frames_by_position_and_in_steps(client):
     opened(client, "a.log")
     assert images(client, "a.log", at=0.2)[0] == 19  # whose last message came at .191

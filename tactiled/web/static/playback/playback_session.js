@@ -19,8 +19,8 @@ import { KIND_NAMES, PRESSURES, TRACTION, kindOf, messageBytes, packet, parse } 
  */
 
 const CHUNK = 48; // frames an answer while it plays
-const DETAILS_MS = 150; // between two requests for warnings and contacts while it plays: a service answers ten a second
-const CONTACTS_MS = 80; // that contacts may be shown beside their frame while it plays
+const DETAILS_MS = 500; // between two requests for warnings while it plays: a service answers ten a second
+const CONTACTS_CHUNK = 24; // frames an answer on contacts while it plays
 const SAME_S = 1e-4; // between two times of one frame
 const BUSY_MS = 1000; // until a request is repeated that came too soon, or for what is not read yet
 /** @type {Health} */
@@ -31,11 +31,12 @@ export class PlaybackSession {
    * @param {string} name
    * @param {Plane} plane
    * @param {number[]} kinds of image that the sensor has
+   * @param {boolean} contacts whether they are requested
    * @param {boolean} shear whether it is requested, if so
    * @param {Played} recorded
    * @param {{onFrame: (frame: Frame) => void, onChange: () => void}} listener
    */
-  constructor(name, plane, kinds, shear, recorded, listener) {
+  constructor(name, plane, kinds, contacts, shear, recorded, listener) {
     this.name = name;
     this.plane = plane;
     this.kinds = kinds;
@@ -52,7 +53,7 @@ export class PlaybackSession {
     /** @type {Status|null} of the frame nearest to the one that is shown */
     this.status = null;
     /** @type {Timeline<ContactsMessage>} */
-    this.contacts = new Timeline(64, SAME_S);
+    this.contacts = new Timeline(2 * CHUNK, SAME_S);
     /** @type {Timeline<Status>} */
     this._statuses = new Timeline(64, SAME_S);
     // What a live session has beside, at rest.
@@ -60,6 +61,9 @@ export class PlaybackSession {
     this.freshness = { minDelay: Infinity, heldBack: 0 };
     this.stream = { link: "open", retry() {} };
     this._asked = shear ? kinds : PRESSURES;
+    this._finds = contacts;
+    this._finding = false;
+    this._found = -1; // number of the last frame whose contacts came while it played
     this._listener = listener;
     /** @type {Fetched[]} */
     this._queue = [];
@@ -117,8 +121,9 @@ export class PlaybackSession {
     return false;
   }
 
-  /** @param {boolean} _contacts @param {boolean} shear whether it is requested from now on */
-  ask(_contacts, shear) {
+  /** @param {boolean} contacts @param {boolean} shear whether they are requested from now on */
+  ask(contacts, shear) {
+    this._finds = contacts;
     this._asked = shear ? this.kinds : PRESSURES;
     this._seek(this.number);
   }
@@ -141,9 +146,9 @@ export class PlaybackSession {
   /** @param {number} speed */
   setSpeed(speed) {
     this.clock.setSpeed(speed, performance.now());
-    const within_s = this.paused ? SAME_S : (speed * CONTACTS_MS) / 1000;
-    this.contacts.setWithin(within_s);
-    this._statuses.setWithin(this.paused ? SAME_S : Math.max(1, within_s));
+    this._statuses.setWithin(this.paused ? SAME_S : Math.max(1, speed));
+    this._found = -1;
+    this.contacts.clear();
     this._queue.length = 0;
     this._next = this._sought ? this.number : this.number + 1;
     this._turn += 1;
@@ -174,7 +179,7 @@ export class PlaybackSession {
     this._queue.length = 0;
     this._turn += 1;
     this._sought = true;
-    this._detailed = -1;
+    this._detailed = this._found = -1;
     this.contacts.clear();
     this._statuses.clear();
   }
@@ -189,6 +194,7 @@ export class PlaybackSession {
     if (wanted && !this._fetching && (this._next < frames || this._seekTo !== null)) this._fetch();
     if (this.clock.playing && !reading && this._next >= frames && !this._queue.length && !this._sought && !this._fetching) this._end(now);
     this._details(now);
+    this._find();
     requestAnimationFrame(this._tick);
   }
 
@@ -265,7 +271,33 @@ export class PlaybackSession {
     await new Promise((resolve) => { setTimeout(resolve, BUSY_MS); });
   }
 
-  /** Ask for warnings and contacts of the frame that is shown, or soon will be. @param {number} now */
+  /** Ask for the contacts of the frames that are shown next, while it plays. */
+  async _find() {
+    const [next] = this._queue;
+    if (!this._finds || this._finding || !this.clock.playing || this._sought || !next) return;
+    const { name, recorded, clock, method, _turn: turn } = this;
+    const step = stepOf(recorded.frames, recorded.duration_s, clock.speed);
+    const first = Math.max(next.number, this._found + step);
+    const count = Math.min(CONTACTS_CHUNK, Math.floor((this._queue[this._queue.length - 1].number - first) / step) + 1);
+    if (count < Math.min(CONTACTS_CHUNK, this._queue.length) / 2) return;
+    this._finding = true;
+    try {
+      /** @type {Record<string, string|number|boolean>} */
+      const query = { sensor: name, first, count, step };
+      const { frames } = await api.recordedContacts(recorded.name, method ? { ...query, method } : query);
+      if (turn !== this._turn) return;
+      for (const { number, ...found } of frames) {
+        this.contacts.push({ type: "contacts", unit: recorded.unit, ...found });
+        this._found = number;
+      }
+    } catch (error) {
+      await this._fail(error, turn);
+    } finally {
+      this._finding = false;
+    }
+  }
+
+  /** Ask for warnings, and in a pause for contacts, of the frame that is shown, or soon will be. @param {number} now */
   async _details(now) {
     const { name, recorded, clock, method, _turn: turn } = this;
     const ahead = clock.playing ? this._queue.find((each) => each.position >= clock.at(now) + (clock.speed * this._answer_ms) / 1000) : null;
@@ -291,7 +323,7 @@ export class PlaybackSession {
   /** @param {PlayedFrame} details @param {string} method that was asked for */
   _take(details, method) {
     const { unit } = this.recorded;
-    this.contacts.push({ type: "contacts", sequence: details.sequence, timestamp: details.timestamp, unit, contacts: details.contacts });
+    if (this.paused) this.contacts.push({ type: "contacts", sequence: details.sequence, timestamp: details.timestamp, unit, contacts: details.contacts });
     this.status = {
       ...details, type: "status", sensor: this.name, state: "live", age_s: null, rate_hz: rateOf(this.recorded), jitter_s: null, detail: "",
       method, ran: details.method, calibration: this.recorded.calibration,

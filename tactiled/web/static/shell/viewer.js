@@ -356,7 +356,7 @@ export class Viewer {
     this.maps.use(plane);
     this.section.use(plane);
     this.marks.along = plane.along;
-    this.session = recorded ? new PlaybackSession(name, plane, kindsOf(sensor), this.shear, recorded, {
+    this.session = recorded ? new PlaybackSession(name, plane, kindsOf(sensor), this.contacts, this.shear, recorded, {
       onFrame: (frame) => this._take(frame),
       onChange: () => {
         this._listener.onChange();

@@ -390,6 +390,13 @@ export async function recordedFrames(name, query) {
   return { first, positions, bytes: new Uint8Array(await response.arrayBuffer()) };
 }
 
+/**
+ * @param {string} name
+ * @param {Record<string, string|number|boolean>} query
+ * @returns {Promise<{frames: {number: number, sequence: number, timestamp: number, contacts: import("./sensor_stream.js").Contact[]}[]}>}
+ */
+export const recordedContacts = (name, query) => request(`${atRecording(name)}/contacts${asQuery(query)}`);
+
 /** @param {string} name @param {string} sensor @param {number} number @param {string} method "" for the live one @returns {Promise<PlayedFrame>} */
 export const recordedFrame = (name, sensor, number, method) =>
   request(`${atRecording(name)}/frames/${number}${asQuery(method ? { sensor, method } : { sensor })}`);
