@@ -148,7 +148,6 @@ export class PlaybackSession {
     this.clock.setSpeed(speed, performance.now());
     this._statuses.setWithin(this.paused ? SAME_S : Math.max(1, speed));
     this._found = -1;
-    this.contacts.clear();
     this._queue.length = 0;
     this._next = this._sought ? this.number : this.number + 1;
     this._turn += 1;
