@@ -132,7 +132,11 @@ Endpoint = Annotated[
     str, Syntax(ENDPOINT, "tcp, tls, quic, udp or ws, then /ADDRESS:PORT, such as tcp/192.168.1.2:7447")
 ]
 Origin = Annotated[
-    str, Syntax(r"^https?://[a-z0-9.\[\]:-]{1,253}$", "a page's origin, such as https://app.example:8443")
+    str,
+    Syntax(
+        r"^https?://[a-z0-9.\[\]:-]{1,253}$",
+        "a page's origin, such as https://app.example:8443 with no slash behind it",
+    ),
 ]
 Origins = Annotated[tuple[Origin, ...], Field(max_length=32)]
 Prefix = Annotated[str, Field(max_length=100), Syntax(PREFIX, f"{WORD}, in parts with / between")]
