@@ -143,18 +143,16 @@ class Finder:
             return np.asarray(np.bincount(labels, values.ravel(), count)[numbers], float)
 
         load = np.maximum(pressure.ravel(), 0)  # negative ringing has no part in the centre
-        centre = np.zeros((count, 2))
-        centre[numbers] = (
-            np.stack([sums(load * each) for each in self._cells.positions.T], 1) / sums(load)[:, None]
-        )
+        total, centre = sums(load), np.zeros((count, 2))
+        centre[numbers] = np.transpose([sums(load * each) / total for each in self._cells.positions.T])
         x, y = (self._cells.positions - centre[of]).T
         within_cell = area / 12  # mm^2, variance of the even pressure inside a square cell
-        xx, yy, xy = (sums(load * each) / sums(load) for each in (x * x, y * y, x * y))
+        xx, yy, xy = (sums(load * each) / total for each in (x * x, y * y, x * y))
         middle, radius = (xx + yy) / 2 + within_cell, np.hypot((xx - yy) / 2, xy)  # of Mohr's circle
         most = 0.5 * float(load.sum())
         peaks = np.zeros(count)
         np.maximum.at(peaks, parts, pressure)
-        each = zip(
+        values = zip(
             centre[numbers].tolist(),
             (sums(pressure) * area * force_scale).tolist(),
             (sums(np.ones(of.shape), parts.ravel()) * area).tolist(),
@@ -166,7 +164,7 @@ class Finder:
             (np.minimum(np.sqrt(sums(np.square(deviation))), most) * area * force_scale).tolist(),
             strict=True,
         )
-        return [DetectedContact(0, *centre, *others) for centre, *others in each]
+        return [DetectedContact(0, *centre, *others) for centre, *others in values]
 
 
 def _ends(array: Array, cells: Raster) -> Mask:

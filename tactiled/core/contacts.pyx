@@ -25,10 +25,10 @@ def split(
     """Number the cells of a picture by contact in `parts` (all 0 before; 0 stays where nothing presses).
 
     `order` are the cells that are pressed, the highest first. Each belongs to the basin of the highest of its eight
-    neighbours, or begins one. Where two basins meet, they stay apart if the dip between them is at least `least`
-    deep below the lower peak, and at least a share of what is `high_near` it; or if the dip is below `skirt` of that
-    and the peak above. The three `shares` hold for peaks that in the image before, `was`, were in one contact, in
-    two, and for others.
+    neighbours, or begins one. Two basins that meet stay apart if the dip is deep below the lower peak: by `least`,
+    and by a share of `high_near`, the highest that counts near that peak. They stay apart, too, if the dip is below
+    `skirt` of `high_near`, and the peak is above that. The three `shares` hold for peaks that were in one contact in
+    the image before, `was`; for those that were in two; and for all others.
     """
     cdef int64_t rows = picture.shape[0], columns = picture.shape[1], n, cell, row, column, r, c, count = 0
     cdef int64_t number, other, low, high, top

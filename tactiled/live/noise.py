@@ -8,7 +8,7 @@ from tactiled.core import readings
 from tactiled.diagnostics.checks import NOISE_RATIO
 from tactiled.diagnostics.warning_codes import warning
 from tactiled.frames import FrameWarning
-from tactiled.restore.noise import noise_of
+from tactiled.restore.noise import estimate_with_rounding
 from tactiled.units import Unit
 
 NOISE_FRAMES = 32  # from which the noise is measured, to 3 % on 64 taxels
@@ -49,7 +49,7 @@ class Noise:
         has_value = readings.look(raw.reshape(-1))[2] > 0
         self._frames += [raw] if has_value else []
         if len(self._frames) == NOISE_FRAMES:
-            self._compare(noise_of(np.stack(self._frames), self._floor, self._rounds))
+            self._compare(estimate_with_rounding(np.stack(self._frames), self._floor, self._rounds))
             self._frames, self._pause = [], NOISE_PAUSE_FRAMES
         elif not self.settled:
             self.warning = (warning("noise_unknown"),) if has_value else ()

@@ -15,7 +15,7 @@ from tactiled.calibrate.counts.calibration import Calibrator
 from tactiled.calibrate.counts.tare import load_description, robust_mean
 from tactiled.frames import UNKNOWN, RawFrame
 from tactiled.live.noise import NOISE_FRAMES
-from tactiled.restore.noise import noise_of
+from tactiled.restore.noise import estimate_with_rounding
 
 if TYPE_CHECKING:
     from tactiled.bus.recording import Recording
@@ -52,7 +52,8 @@ def recorded_noise(plan: SensorPlan, with_data: Iterable[RawFrame], zero: Floats
     if zero is not None:
         calibrator.tare(zero.astype(float))
     raw, _ = calibrator.series(np.stack([each.counts for each in first]), np.stack([each.flags for each in first]))
-    return noise_of(raw.reshape(-1, *plan.array.frame_shape), plan.calibration.floor_kpa, plan.codec.rounds)
+    frames = raw.reshape(-1, *plan.array.frame_shape)
+    return estimate_with_rounding(frames, plan.calibration.floor_kpa, plan.codec.rounds)
 
 
 def measure(

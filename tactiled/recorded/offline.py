@@ -18,12 +18,11 @@ from tactiled.chain import Chain
 from tactiled.config import Config
 from tactiled.errors import ConfigError
 from tactiled.frames import BAD, DEAD, MISSING, SATURATED, FrameSeries
-from tactiled.restore.noise import IMPLAUSIBLE_KPA, estimate
+from tactiled.restore.noise import IMPLAUSIBLE_KPA, are_multiples, estimate
 
 PIECE_FRAMES = 256  # in memory at once
 NOISE_RUNS, NOISE_RUN_FRAMES = 8, 32  # runs of frames, all over the series, from which the noise is measured
 MIN_NOISE_KPA = 1e-3  # assumed where all frames are 0
-MAX_ROUNDING_ERROR = 0.02  # of a step, by which float32 values miss a multiple of it
 
 Frames = NDArray[Any]
 
@@ -98,10 +97,9 @@ def _rounding_noise(runs: list[Frames], steps_kpa: tuple[float, ...]) -> float:
     """Noise (kPa) of rounding to the largest of the steps that all values differ by multiples of; else 0."""
     values = np.concatenate([np.empty(0), *(np.ravel(run).astype(float) for run in runs)])
     values = values[np.abs(values) < IMPLAUSIBLE_KPA]
+    differences = values - values[:1]
     for step in sorted(steps_kpa, reverse=True):
-        multiples = (values - values[:1]) / step
-        rounded = multiples.round()
-        if rounded.any() and float(np.abs(multiples - rounded).max()) < MAX_ROUNDING_ERROR:
+        if (np.abs(differences) > step / 2).any() and are_multiples(differences, step):
             return step / 12**0.5
     return 0.0
 

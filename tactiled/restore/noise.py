@@ -16,7 +16,7 @@ PRESSED_MEAN = 0.02  # of the mean square is the squared mean, at least, where s
 NOISY_RATIO = 2.0  # to the common noise; of healthy taxels it was 1.5 at most on the tours of `tests.bench health`
 QUIET_RATIO = 1.6  # below which a noisy taxel is so no more
 SAME_SIZE = 1e-3  # of a size: a smaller difference is that of rounded arithmetic
-ROUNDING_ERROR = 0.02  # steps: the same, of a difference that is whole steps
+ROUNDING_ERROR = 0.02  # of a step, by which float32 values miss a multiple of it
 CHANGED_RATIO = 1.25  # by which a noisy taxel's noise changes before that matters
 
 
@@ -41,10 +41,14 @@ def estimate(frames: NDArray[np.floating]) -> float:
     return max(sigma if np.isfinite(sigma) else 0.0, MIN_OVER_PEAK * float(finite.max(initial=0.0)))
 
 
-def noise_of(frames: NDArray[np.floating], floor: float, rounds: bool) -> float:
-    """Noise as of `estimate`; at least `floor`, that of rounding, where readings are rounded, or seem to be."""
+def estimate_with_rounding(frames: NDArray[np.floating], floor: float, rounds: bool) -> float:
+    """Noise as of `estimate`; at least `floor`, that of rounding, where readings are rounded, or seem to be.
+
+    They seem so where they differ in time by whole counts.
+    """
     found = estimate(frames)
-    return max(found, floor) if rounds or is_rounded(frames, floor * 12**0.5) else found
+    rounded = rounds or are_multiples(np.diff(np.asarray(frames, float), axis=0), floor * 12**0.5)
+    return max(found, floor) if rounded else found
 
 
 def bends(values: NDArray[np.floating]) -> Floats:
@@ -104,11 +108,10 @@ def _median(size: Floats) -> float:
     return low + rank * (high - low)
 
 
-def is_rounded(values: NDArray[np.floating], step: float) -> bool:
-    """Whether the known ones of frames (T, ...) differ in time by whole multiples of a step, as counts do."""
-    steps = np.diff(np.asarray(values, float), axis=0) / step
-    steps = steps[np.isfinite(steps)]
-    return bool((np.abs(steps - np.round(steps)) <= ROUNDING_ERROR).all())
+def are_multiples(values: Floats, step: float) -> bool:
+    """Whether all known values are whole multiples of a step."""
+    multiples = values[np.isfinite(values)] / step
+    return bool((np.abs(multiples - multiples.round()) < ROUNDING_ERROR).all())
 
 
 def _unrelated(values: Floats) -> bool:

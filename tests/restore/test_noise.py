@@ -1,7 +1,7 @@
 import numpy as np
 import pytest
 
-from tactiled.restore.noise import estimate, is_rounded, noise_of, noise_ratio
+from tactiled.restore.noise import are_multiples, estimate, estimate_with_rounding, noise_ratio
 
 
 def press(frames, sigma, peak=100.0):
@@ -29,11 +29,12 @@ def test_noise_of_whole_counts_is_no_whole_number_of_steps(sigma):
 def test_only_rounded_readings_have_the_noise_of_rounding():
     floats = np.random.default_rng(2).normal(0, 0.02, (32, 8, 6)).astype(np.float32)
     floats[0, 0, 0] = np.nan
-    assert noise_of(floats, 12**-0.5, rounds=False) == pytest.approx(0.02, rel=0.1)
+    assert estimate_with_rounding(floats, 12**-0.5, rounds=False) == pytest.approx(0.02, rel=0.1)
     whole = np.round(3 * floats / 0.02) + 0.3  # over a zero that is no whole count
-    assert not is_rounded(floats, 1.0)
-    assert is_rounded(whole, 1.0)
-    assert noise_of(0 * whole, 12**-0.5, rounds=False) == noise_of(0 * floats, 12**-0.5, rounds=True) == 12**-0.5
+    assert not are_multiples(np.diff(floats, axis=0), 1.0)
+    assert are_multiples(np.diff(whole, axis=0), 1.0)
+    for still, rounds in ((0 * whole, False), (0 * floats, True)):
+        assert estimate_with_rounding(still, 12**-0.5, rounds) == 12**-0.5
 
 
 @pytest.mark.parametrize("frames", [1, 2])

@@ -72,10 +72,10 @@ def test_a_region_is_drawn_named_measured_and_deleted(rig, url, open_page):
     assert not page.locator("#notice").is_visible()  # it has just been said
     page.locator("#pause").click()  # a frame that is above it stays so, whatever comes
     rig.show(pressed(3, force=0))
-    exceeded = f"{url}/api/v1/sensors/palm/regions"
-    until(lambda: not ask("GET", exceeded).json()["regions"][0]["exceeded"])
+    looked_at = f"{url}/api/v1/sensors/palm/regions"
+    until(lambda: not ask("GET", looked_at).json()["regions"][0]["exceeded"])
     for _ in range(3):
-        page.wait_for_event("response", lambda response: response.url == exceeded)
+        page.wait_for_event("response", lambda response: response.url == looked_at)
     assert page.locator("#regions tr.some").count() == 1
     page.locator("#pause").click()
     page.keep(lambda: rig.show(pressed(3, force=3000)), "document.querySelector('#regions tr.some')")

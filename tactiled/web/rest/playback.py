@@ -1,7 +1,7 @@
 """`/api/v1/recordings/{name}/playback` and `/frames`: any frame of a recording, raw and restored, in any order."""
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import lru_cache, partial
 from pathlib import Path
 from threading import Lock, Timer
@@ -11,7 +11,7 @@ from fastapi import APIRouter, Query, Request, Response
 from fastapi import Path as PathParameter
 from pydantic import Field
 
-from tactiled.frames import Loss
+from tactiled.frames import Loss, SensorImage
 from tactiled.live.sensor import Sensor
 from tactiled.live.service import Service
 from tactiled.recorded.frames import RecordedFrames
@@ -77,26 +77,6 @@ class PlayedRegion(RegionMeasures):
     name: str = Field(examples=["heel"])
 
 
-class PlayedFrame(schemas.Restoration, schemas.FrameId):
-    """What is known of one frame of a recording beside its images."""
-
-    number: int = Field(description="in the recording, from 0", examples=[512])
-    position_s: float = Field(description="from the recording's first message", examples=[5.12])
-    skew_s: float = Field(description="from the frame's first message to its last", examples=[0.0031])
-    method: str = Field(description="method used", examples=["nnls"])
-    loss: Loss = Field(description="since the beginning of the recording")
-    warnings: tuple[schemas.FrameWarning, ...]
-    force_unit: ForceUnit = Field(examples=["N"])
-    contacts: tuple[schemas.Contact, ...] = Field(description="strongest first, numbered in each frame anew")
-    regions: tuple[PlayedRegion, ...] = Field(description="of the sensor, as live")
-
-
-class MethodQuery(SensorQuery):
-    """How they are restored."""
-
-    method: schemas.MethodName | None = Field(None, description="left out: the one that is selected live")
-
-
 class FrameContacts(schemas.FrameId):
     """The contacts in one frame of a recording."""
 
@@ -109,6 +89,24 @@ class PlayedContacts(schemas.Schema):
 
     force_unit: ForceUnit = Field(examples=["N"])
     frames: list[FrameContacts]
+
+
+class PlayedFrame(schemas.Restoration, FrameContacts):
+    """What is known of one frame of a recording beside its images."""
+
+    position_s: float = Field(description="from the recording's first message", examples=[5.12])
+    skew_s: float = Field(description="from the frame's first message to its last", examples=[0.0031])
+    method: str = Field(description="method used", examples=["nnls"])
+    loss: Loss = Field(description="since the beginning of the recording")
+    warnings: tuple[schemas.FrameWarning, ...]
+    force_unit: ForceUnit = Field(examples=["N"])
+    regions: tuple[PlayedRegion, ...] = Field(description="of the sensor, as live")
+
+
+class MethodQuery(SensorQuery):
+    """How they are restored."""
+
+    method: schemas.MethodName | None = Field(None, description="left out: the one that is selected live")
 
 
 class SomeFrames(MethodQuery):
@@ -266,8 +264,20 @@ def _state(playbacks: Playbacks, sensor: Sensor, recorded: RecordedFrames) -> Re
     return Response(Played(**fields, frames=frames).model_dump_json(), media_type=MEDIA["json"])
 
 
+def _restored(
+    sensor: Sensor, recorded: RecordedFrames, playback: Playback, query: SomeFrames, first: int
+) -> Iterator[tuple[int, SensorImage]]:
+    """Some frames from the first on, each with its number, until ANSWER_S have passed."""
+    need_frame(sensor, recorded, first)
+    last, end = min(recorded.count(sensor.name), first + query.count * query.step), time.monotonic() + ANSWER_S
+    for number in range(first, last, query.step):
+        yield number, playback.image(number, query.method or sensor.method)
+        if time.monotonic() > end:
+            return
+
+
 def _images(playbacks: Playbacks, query: FramesQuery, sensor: Sensor, recorded: RecordedFrames) -> Response:
-    """Messages of some frames, restored until ANSWER_S have passed."""
+    """Messages of some frames."""
     kinds: tuple[Kind, ...] = PRESSURES
     if query.shear:
         sensor.need_shear()
@@ -277,37 +287,26 @@ def _images(playbacks: Playbacks, query: FramesQuery, sensor: Sensor, recorded: 
         kinds = (*kinds, "traction")
     playback = playbacks.playback(sensor, recorded)
     first = _number_at(sensor, recorded, query.at or 0.0) if query.first is None else query.first
-    need_frame(sensor, recorded, first)
-    last = min(recorded.count(sensor.name), first + query.count * query.step)
-    messages, positions, end = [], [], time.monotonic() + ANSWER_S
-    for number in range(first, last, query.step):
-        image = playback.image(number, query.method or sensor.method)
+    messages, positions = [], []
+    for _, image in _restored(sensor, recorded, playback, query, first):
         messages += [pack(image, kind, time.time()) for kind in kinds]
         positions.append(f"{image.arrived:.6f}")
-        if time.monotonic() > end:
-            break
     headers = {"X-Tactiled-Frame": str(first), "X-Tactiled-Positions": ",".join(positions)}
     return Response(b"".join(messages), media_type=MEDIA["file"], headers=headers)
 
 
 def _contacts(playbacks: Playbacks, query: ContactsQuery, sensor: Sensor, recorded: RecordedFrames) -> Response:
-    """Contacts in some frames, restored until ANSWER_S have passed."""
-    need_frame(sensor, recorded, query.first)
-    playback, method = playbacks.playback(sensor, recorded), query.method or sensor.method
-    last = min(recorded.count(sensor.name), query.first + query.count * query.step)
-    frames, end = [], time.monotonic() + ANSWER_S
-    for number in range(query.first, last, query.step):
-        image = playback.image(number, method)
-        frames.append(
-            FrameContacts(
-                number=number,
-                sequence=image.sequence,
-                timestamp=image.time,
-                contacts=answers.listed(playback.contacts(image), image.unit),
-            )
+    """Contacts in some frames."""
+    playback = playbacks.playback(sensor, recorded)
+    frames = [
+        FrameContacts(
+            number=number,
+            sequence=image.sequence,
+            timestamp=image.time,
+            contacts=answers.listed(playback.contacts(image), image.unit),
         )
-        if time.monotonic() > end:
-            break
+        for number, image in _restored(sensor, recorded, playback, query, query.first)
+    ]
     found = PlayedContacts(force_unit=FORCE_UNITS[sensor.plan.unit], frames=frames)
     return Response(found.model_dump_json(), media_type=MEDIA["json"])
 

@@ -19,7 +19,7 @@ import { KIND_NAMES, PRESSURES, TRACTION, kindOf, messageBytes, packet, parse } 
  */
 
 const CHUNK = 48; // frames an answer while it plays
-const DETAILS_MS = 500; // between two requests for warnings while it plays: a service answers ten a second
+const DETAILS_MS = 500; // between two requests for warnings while it plays
 const CONTACTS_CHUNK = 24; // frames an answer on contacts while it plays
 const SAME_S = 1e-4; // between two times of one frame
 const BUSY_MS = 1000; // until a request is repeated that came too soon, or for what is not read yet
