@@ -3,6 +3,7 @@
 import time
 from contextlib import suppress
 from queue import Empty
+from typing import Any, Self
 
 from can import VALID_INTERFACES, Bus, BusABC
 from can import Message as CanMessage
@@ -15,10 +16,20 @@ from can.io.generic import MessageReader, MessageWriter
 from can.util import channel2int, dlc2len
 
 __all__ = [
-    "VALID_INTERFACES", "Bus", "BusABC", "CanMessage", "MessageReader", "MessageWriter", "SlcanBus",
-    "SocketcanBus", "blf", "channel2int", "close", "dlc2len", "filters_in_kernel", "formats", "receive",
-    "unended_line",
+    "VALID_INTERFACES", "Bus", "BusABC", "CanMessage", "MessageReader", "MessageWriter", "SentMessage",
+    "SlcanBus", "SocketcanBus", "blf", "channel2int", "close", "dlc2len", "filters_in_kernel", "formats",
+    "receive", "unended_line",
 ]  # fmt: skip
+
+
+class SentMessage(CanMessage):
+    """A message that nobody changes: a virtual bus passes on the object itself, and makes no costly copy."""
+
+    __slots__ = ()
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
+        """Itself."""
+        return self
 
 
 def receive(bus: BusABC, timeout: float) -> CanMessage | None:

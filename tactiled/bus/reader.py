@@ -15,7 +15,16 @@ import numpy as np
 
 from tactiled.bus import canbus, driver_errors
 from tactiled.bus.batch import EXTENDED, Batch
-from tactiled.bus.canbus import VALID_INTERFACES, Bus, BusABC, CanMessage, SocketcanBus, filters_in_kernel, receive
+from tactiled.bus.canbus import (
+    VALID_INTERFACES,
+    Bus,
+    BusABC,
+    CanMessage,
+    SentMessage,
+    SocketcanBus,
+    filters_in_kernel,
+    receive,
+)
 from tactiled.bus.redact import HARMLESS, redactor, reveal, seal
 from tactiled.bus.socketcan import (
     BUS_OFF,
@@ -271,10 +280,10 @@ def _socket(bus: BusABC) -> socket.socket | None:
     return handle
 
 
-def can_message(message: Message) -> CanMessage:
+def can_message(message: Message) -> SentMessage:
     """A data frame as python-can has it."""
     time_s, id_, fd = message.time, message.id, message.fd
-    return CanMessage(time_s, id_, message.extended, data=message.data, is_fd=fd, bitrate_switch=fd)
+    return SentMessage(time_s, id_, message.extended, data=message.data, is_fd=fd, bitrate_switch=fd)
 
 
 def _raw(frame: CanMessage) -> Message:

@@ -6,7 +6,8 @@ from threading import Thread
 from can.interfaces.socketcan import SocketcanBus
 
 from tactiled.bus.canbus import Bus, CanMessage, filters_in_kernel, receive
-from tactiled.bus.reader import open_bus
+from tactiled.bus.reader import can_message, open_bus
+from tactiled.frames import Message
 from tests.conftest import BUSY_S
 
 
@@ -35,3 +36,13 @@ def test_a_reader_that_ends_with_a_full_queue_holds_up_no_sender(request):
         reader.close()
         sending.join(BUSY_S)
         assert not sending.is_alive()
+
+
+def test_a_virtual_bus_passes_on_a_message_that_is_sent_without_a_copy(request):
+    with (
+        Bus(interface="virtual", channel=request.node.name) as bus,
+        Bus(interface="virtual", channel=request.node.name) as sender,
+    ):
+        message = can_message(Message(1.0, 0x100, bytes(64), extended=False, fd=True))
+        sender.send(message)
+        assert receive(bus, 5.0) is message
