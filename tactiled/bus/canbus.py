@@ -27,7 +27,7 @@ class SentMessage(CanMessage):
 
     __slots__ = ()
 
-    def __deepcopy__(self, memo: dict[int, Any]) -> Self:
+    def __deepcopy__(self, memo: dict[int, Any] | None) -> Self:
         """Itself."""
         return self
 

@@ -22,8 +22,9 @@ NEAR_PITCHES = 8.0  # around a peak where restoration may ring: there it counts 
 FAR_PEAK_SHARE = 0.2  # part of a more distant peak that counts
 SKIRT_SHARE = 0.1  # of the highest of these: a lower cell is a skirt, or rings
 MAX_CONTACTS = 512  # of an image, those with the highest peaks: the time to track them grows with their square
-DIP_SHARE = 0.31  # of the same: depth of the dip between two contacts
-PART_SHARE, JOIN_SHARE = 0.42, 0.3  # the same if they were one contact, or two, in the image before
+# Of the same: depth of the dip between two contacts that were one in the image before, two, or neither,
+DIP_SHARES = 0.42, 0.3, 0.31
+RING_DIP_SHARES = 0.5, 0.3, 0.42  # and where they surround a hole together
 DIP_DEVIATIONS, CLEAR_SHARE = 1.5, 0.5  # of the lower peak's, but of no more than this share of it: also the depth
 SPECK_SHARE = 0.2  # of the highest near it: a lower peak that is less than DIP_DEVIATIONS of itself is a speck
 OUTLINE_SIGMAS = 2.0  # standard deviations of a contact's pressure from its centre to the ellipse that shows it
@@ -72,7 +73,8 @@ class Finder:
 
         With `faint` also those too faint to begin: a contact that has begun may become as faint. A contact is
         left out beside an unknown cell (NaN), or if too little of it is left by the `shares` of the cells. At a
-        dip near the bound, what was one contact or two in `before`, the `parts` of the last image, stays so.
+        dip near the bound, what was one contact or two in `before`, the `parts` of the last image, stays so; what
+        surrounds a hole, as a ring does, is one down to deeper dips.
         `deviation` gives the cells' (in `unit`); it is called only if something presses. No dip that is small
         beside it parts a contact, and no faint peak near a strong one that is small beside it is one, unless the
         image is `blurred`, as the raw one is: blur makes no dip and no speck.
@@ -93,8 +95,11 @@ class Finder:
         least = np.fmax(go_on, np.minimum(doubt, CLEAR_SHARE * picture))
         pressed = np.flatnonzero(picture > go_on)
         order = pressed[np.argsort(-picture.ravel()[pressed], kind="stable")]
-        parts = np.zeros_like(self.parts)
-        core.split(picture, order, highest, least, was, (PART_SHARE, JOIN_SHARE, DIP_SHARE), SKIRT_SHARE, parts)
+        parts, rings = np.zeros_like(self.parts), np.zeros_like(self.parts)
+        for labels, dips in ((parts, DIP_SHARES), (rings, RING_DIP_SHARES)):
+            core.split(picture, order, highest, least, was, dips, SKIRT_SHARE, labels)
+        if np.count_nonzero(parts != rings):
+            parts = _with_rings(parts, rings, picture > SKIRT_SHARE * highest)
         tops = np.full(int(parts.max()) + 1, -np.inf)
         np.maximum.at(tops, parts, picture)
         tops[0] = np.inf
@@ -165,6 +170,17 @@ class Finder:
             strict=True,
         )
         return [DetectedContact(0, *centre, *others) for centre, *others in values]
+
+
+def _with_rings(parts: Labels, rings: Labels, clear: Mask) -> Labels:
+    """`parts`, but as `rings` has those that surround a hole in what is `clear`; all (R, C)."""
+    from scipy.ndimage import binary_fill_holes
+
+    for number in np.unique(rings[parts != rings]):
+        ring = (rings == number) & clear
+        if np.count_nonzero(binary_fill_holes(ring) & ~ring):
+            parts[rings == number] = number
+    return parts
 
 
 def _ends(array: Array, cells: Raster) -> Mask:

@@ -295,6 +295,11 @@ def test_a_ring_whose_dips_are_near_the_bound_keeps_its_ids_until_a_dip_is_clear
             named = track(find(image, NOISE, before=find.parts), 0.05 * seed, 5 * NOISE)
             assert {each.id for each in named} == ids
 
+    assert len(find(100 * ring * (1 + 0.22 * wave), NOISE)) == 1
+    assert (
+        len(find(np.where(angle.reshape(SIDE, SIDE) > 2.6, 0, 100 * ring * (1 + 0.22 * wave)), NOISE)) > 1
+    )  # no hole
+
     def parted(depth, deviation, blurred=False):
         image = 100 * ring * (1 + depth * wave)
         return len(find(image, NOISE, deviation=lambda: np.full_like(ring, deviation), blurred=blurred))
