@@ -11,7 +11,7 @@ import numpy as np
 
 from tactiled.arrays import Floats, Floats32
 from tactiled.restore import learned
-from tactiled.restore.deviation import deviation, learned_deviation, raw_deviation
+from tactiled.restore.deviation import deviation, raw_deviation
 from tactiled.restore.noise import detection_threshold
 from tactiled.restore.points import LEARNED_SPREAD_CELLS, TOO_THIN, Points
 from tactiled.restore.scene import Restored, Scene, pressed_noise_gain
@@ -71,7 +71,7 @@ class Auto:
         if self._last.method == "raw":
             return raw_deviation(self._scene, self._wiener)
         if self._last.method == learned.Learned.name and isinstance(self._sharp, learned.Learned):
-            return learned_deviation(self._scene, self._sharp)
+            return self._sharp.deviation()
         return deviation(self._scene, None if self._last is self._idle else self._last.image)
 
     def is_idle(self, y: Floats32) -> bool:

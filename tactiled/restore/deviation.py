@@ -1,12 +1,8 @@
 """Standard deviation (kPa) of every cell of an image: of the noise, of what a method leaves out, of the model."""
 
-from math import sqrt
-
 import numpy as np
 
 from tactiled.arrays import Floats, Floats32
-from tactiled.restore.blur import THICKNESS_ERROR
-from tactiled.restore.learned import Learned
 from tactiled.restore.scene import Scene
 from tactiled.restore.wiener import Wiener, wiener_weight
 
@@ -34,7 +30,7 @@ def deviation(scene: Scene, image: Floats32 | None = None) -> Floats:
     spread = np.sqrt(squares[0] @ variance @ squares[1].T)
     if image is None:
         return np.asarray(spread, float)
-    spread = np.hypot(spread, scene.thickness_error * _slope_in_thickness(scene, image))
+    spread = np.hypot(spread, scene.thickness_error * slope_in_thickness(scene, image))
     if scene.spotted:
         from scipy.ndimage import gaussian_filter  # which nothing else imports that starts a service
 
@@ -43,23 +39,13 @@ def deviation(scene: Scene, image: Floats32 | None = None) -> Floats:
     return np.asarray(spread, float)
 
 
-def _slope_in_thickness(scene: Scene, image: Floats32) -> Floats:
+def slope_in_thickness(scene: Scene, image: Floats32) -> Floats:
     """How much a filtered `image` changes with the logarithm of the thickness under which it was sensed."""
     modes = scene.modes
     analyse, synthesise = modes.to_surface_modes(), modes.head_to_surface()
     pressure = analyse(np.ascontiguousarray(image, np.float32), analyse.empty())[modes.head]
     change = wiener_weight(scene) * np.sqrt(modes.gain_variance(1.0)) * pressure
     return np.abs(synthesise(np.asarray(change, np.float32), synthesise.empty())).astype(float)
-
-
-def learned_deviation(scene: Scene, network: Learned) -> Floats:
-    """Give the network's own, and what a cover known less than in training changes of its image.
-
-    Of what is between 0 and a bound the deviation is half the bound at most (Popoviciu 1935).
-    """
-    spread = np.minimum(network.deviation(), 0.5 * scene.most(network.image))
-    doubt = sqrt(max(scene.thickness_error**2 - THICKNESS_ERROR**2, 0.0))
-    return np.asarray(np.hypot(spread, doubt * _slope_in_thickness(scene, network.image)) if doubt else spread)
 
 
 def raw_deviation(scene: Scene, wiener: Wiener) -> Floats:

@@ -5,7 +5,7 @@ the logarithm of its image's deviation, too.
 """
 
 from functools import cache, lru_cache
-from math import log
+from math import log, sqrt
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,7 +15,9 @@ from numpy.typing import NDArray
 
 from tactiled.arrays import Floats, Floats32
 from tactiled.core import network
-from tactiled.restore.blur import Blur
+from tactiled.restore.blur import THICKNESS_ERROR, Blur
+from tactiled.restore.deviation import deviation, slope_in_thickness
+from tactiled.restore.prior import Kept
 from tactiled.restore.scene import Scene
 from tactiled.restore.wiener import Wiener
 
@@ -29,6 +31,7 @@ SLACK = 0.002  # by which their roots may be outside those in training
 MAX_DOUBT = 2.0  # logarithm of a deviation over the image's scale
 OF_FRAME = 6  # conditions of the frame; those of the cover follow
 FIRMNESS = 5.0, 3.0  # a firmness is the noise's variance times exp(5 tuned + 3)
+LIMIT = 2.0  # of the linear image's deviations, above it: where cells are finer than taxels, no cell has more
 MIN_SIDE = 6  # taxels, with those beyond the border
 
 
@@ -117,6 +120,7 @@ class Learned:
         bases = zip(scene.modes.surface, self._gain.shape, strict=True)
         self._down, self._across = (np.ascontiguousarray(V[:, :n], np.float32) for V, n in bases)
         self.image = np.zeros((rows, columns), np.float32)
+        self._limits: Kept[Floats32] = Kept()
         self._scale = 1.0  # kPa
 
     def prepare(self) -> None:
@@ -127,13 +131,29 @@ class Learned:
         scene = self._scene
         self._scale = self._conditions(self._wiener)
         done = self._run(linear)
+        if scene.array.refine > 1:
+            np.minimum(self.image, self._most(linear), out=self.image)
         scene.keep_force(self.image.reshape(-1))
         return done
 
     def deviation(self) -> Floats:
-        """Standard deviation (kPa) of every cell of the image last restored."""
-        doubts = np.minimum(self._stages.doubts(self._images), MAX_DOUBT)
-        return np.asarray(self._scale * np.exp(doubts.astype(float)))
+        """Standard deviation (kPa) of every cell of the image last restored.
+
+        The network gives its own; a cover that is known less than in training adds what it changes. Of what is
+        between 0 and a bound the deviation is half the bound at most (Popoviciu 1935).
+        """
+        scene, doubts = self._scene, np.minimum(self._stages.doubts(self._images), MAX_DOUBT)
+        spread = np.minimum(self._scale * np.exp(doubts.astype(float)), 0.5 * scene.most(self.image))
+        doubt = sqrt(max(scene.thickness_error**2 - THICKNESS_ERROR**2, 0.0))
+        return np.asarray(np.hypot(spread, doubt * slope_in_thickness(scene, self.image)) if doubt else spread)
+
+    def _most(self, linear: Floats32) -> Floats32:
+        """The most (kPa) that each cell may have."""
+        scene = self._scene
+        spread = self._limits(
+            scene.spectrum, lambda: (deviation(scene) / scene.noise).astype(np.float32), linear.size
+        )
+        return np.asarray(np.maximum(linear, 0) + np.float32(LIMIT * scene.noise) * spread, np.float32)
 
     def _run(self, linear: Floats32) -> int:
         """Make the image from the linear one; gives the number of stages, 0 if time is over."""

@@ -13,7 +13,7 @@ from tactiled.errors import ConfigError
 from tactiled.restore import learned
 from tactiled.restore.auto import IDLE, LOADS, Auto
 from tactiled.restore.blur import Blur
-from tactiled.restore.deviation import deviation, learned_deviation, raw_deviation
+from tactiled.restore.deviation import deviation, raw_deviation
 from tactiled.restore.inpaint import Inpainter
 from tactiled.restore.noise import IMPLAUSIBLE_KPA
 from tactiled.restore.nonnegative import Nonnegative
@@ -209,7 +209,7 @@ class _Nonnegative(Linear):
 
     def deviation(self) -> Floats:
         if isinstance(self._solver, learned.Learned):
-            return learned_deviation(self._scene, self._solver)
+            return self._solver.deviation()
         return super().deviation()
 
 

@@ -32,6 +32,7 @@ def test_it_is_the_network_that_was_trained(number, monkeypatch):
 
     monkeypatch.setattr(skin, "inputs", seen)
     monkeypatch.setattr(Scene, "keep_force", lambda *_: None)
+    monkeypatch.setattr(learned, "LIMIT", np.inf)
     *inputs, _ = skin.samples(8, random)
     fixed = (np.repeat(each[None], 8, axis=0) for each in (skin.maps, *skin.bases))
     images, doubts = network(learned.weights()._asdict(), (*inputs, *fixed))

@@ -14,11 +14,12 @@ def traction():
 
 @pytest.mark.parametrize("skin", [(4, 4, 0.5), (4, 6, 1.0)])
 def test_presses_with_friction_are_restored(skin):
-    figures = shear.measure(*skin, 8, seed=1)
-    raw, once, twice, known, _, pressure, less, _ = np.median(figures, axis=0)
+    figures = shear.measure(*skin, 24, seed=1)
+    raw, once, twice, known, *_ = np.median(figures, axis=0)
     assert max(once, twice) < 0.55 * raw
-    assert less < 0.95 * pressure
     assert known > 0.7
+    pressure, less = np.mean(figures, axis=0)[5:7]
+    assert less < 0.9 * pressure
 
 
 def test_the_readings_tell_how_large_friction_is():
