@@ -4,10 +4,14 @@ import numpy as np
 import pytest
 
 from tactiled.bench.skin import nrmse, rubber
+from tactiled.cover.kernel import cached
+from tactiled.geometry import raster
 from tactiled.restore import learned
 from tactiled.restore.methods import make
 from tactiled.restore.scene import Scene
 from tactiled.restore.wiener import Wiener
+from tactiled.surface import make as surface_blur
+from tests.bench import border
 from tests.bench.judge import own
 from tests.bench.presses import FAMILIES, presses
 from tests.bench.train import Skin, arrays, network, samples
@@ -57,6 +61,19 @@ def test_samples_are_the_same_for_the_same_seed_and_looked_up(tmp_path):
         np.testing.assert_array_equal(each, again[name])
         np.testing.assert_array_equal(each, stored[name])
     assert not np.array_equal(first["truths"], other["truths"])
+
+
+def test_on_fine_cells_a_smooth_press_over_a_corner_gets_no_spike():
+    """The network alone gives it twice its peak: it saw no array with so many fine cells."""
+    surface, stack = border.skin("16 x 16", 2.15, 1)
+    array = border.taxels("16 x 16")
+    fine = 100 * np.exp(-((surface.x + 7.5) ** 2 + (surface.y + 7.5) ** 2) / 12.5)
+    (truth,) = border.means(raster(array, 2), surface.x + 7.5, surface.y + 7.5, [fine])
+    frame = np.ravel(surface.sense(fine))[: array.size].reshape(array.shape).astype(np.float32)
+    noise = 0.01 * frame.max()
+    frame += np.random.default_rng(1).normal(0, noise, frame.shape).astype(np.float32)
+    image = make("learned", surface_blur(cached(stack), array, 2), noise)(frame).image
+    assert image.max() < 1.4 * truth.max()
 
 
 @pytest.mark.parametrize(("noise", "bound"), [(0.01, 1.0), (0.05, 0.95)])
