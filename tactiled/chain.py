@@ -1,7 +1,7 @@
 """The way of a frame from counts to its image: live, in playback, in exports and from files of frames."""
 
 from collections.abc import Callable
-from functools import cached_property
+from functools import cached_property, lru_cache
 from threading import Lock
 from typing import Any, cast
 
@@ -242,8 +242,12 @@ def _less(raw: Floats32, added: Reals | None) -> Floats32:
 
 def flag_warnings(flags: Flags) -> tuple[FrameWarning, ...]:
     """A warning for each flag that some taxels have."""
-    if not np.count_nonzero(flags):
-        return ()
+    return _flagged(flags.tobytes()) if np.count_nonzero(flags) else ()
+
+
+@lru_cache(maxsize=256)  # flags stay for many frames
+def _flagged(values: bytes) -> tuple[FrameWarning, ...]:
+    flags = np.frombuffer(values, np.uint8)
     instead = {} if (flags & UNKNOWN == 0).any() else {"instead": NO_DATA}
     counts = ((code, int(np.count_nonzero(flags & flag))) for code, flag in FLAG_CODES.items())
     return tuple(warning(code, count, **instead) for code, count in counts if count)
