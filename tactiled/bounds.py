@@ -12,7 +12,8 @@ from pydantic_core import CoreSchema, ErrorDetails, PydanticCustomError, core_sc
 
 from tactiled.units import LENGTH, STIFFNESS
 
-SI = {LENGTH: {"metres": 1e3}, STIFFNESS: {"Pa": 1e-6}}  # units that a number may have been given in, over ours
+# Units that a number may have been given in, over ours.
+SLIPS = {LENGTH: {"metres": 1e3}, STIFFNESS: {"Pa": 1e-6, "GPa": 1e3}}
 
 
 def reason(fault: ErrorDetails) -> str:
@@ -76,7 +77,7 @@ class Bounds:
         """Refuse a number past either end, and NaN."""
         size = abs(value) if self.signed else value
         if not (self.low <= size <= self.high or (self.zero and value == 0)):
-            units = SI.get(self.unit, {}) if size > 0 else {}
+            units = SLIPS.get(self.unit, {}) if size > 0 else {}
             found = slips(value, self.unit, units, self.low, self.high)
             meant, words = found[0] if found else (min(max(size, self.low), self.high), "")
             context = {"bounds": str(self), "slip": words, "meant": meant}

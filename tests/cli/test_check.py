@@ -46,6 +46,10 @@ def test_what_cannot_be_and_what_is_doubtful_are_told_at_once(palm):
     pitch, young = str(done.exception).splitlines()
     assert pitch.endswith("pitch_mm = 0.001: give 0.01 to 1000 mm; 1 mm if it was given in metres")
     assert young.endswith("young_mpa = 980000000.0: give 0.001 to 1e7 MPa; 980 MPa if it was given in Pa")
+    path.write_text(path.read_text().replace("= 980e6", "= 980").replace("= 0.6", "= 0.0006"))
+    done = run("check", path)
+    assert done.stdout == f"{doubt}\n"
+    assert "young_mpa = 0.0006: give 0.001 to 1e7 MPa; 0.6 MPa if it was given in GPa" in str(done.exception)
 
 
 def test_only_values_of_the_file_are_called_doubtful(palm):

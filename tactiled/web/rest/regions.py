@@ -147,7 +147,8 @@ def series(
     kept = watched(sensor, region).series(seconds, points, until)
     if form == "csv":
         head = f"# sensor: {sensor.name}\n# region: {region}\n# time_s: Unix time\n"
-        return Response(head + _csv(kept), media_type="text/csv")
+        headers = {"Content-Disposition": f'attachment; filename="{sensor.name}-{region}.csv"'}
+        return Response(head + _csv(kept), media_type="text/csv", headers=headers)
     columns = dict(zip(Measures._fields, kept.values.T.tolist(), strict=True))
     lists = {"time": kept.time.tolist(), "missing": kept.missing.tolist()}
     content = KeptSeries(unit=kept.unit, **lists, **columns).model_dump_json()

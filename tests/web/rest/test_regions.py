@@ -25,7 +25,9 @@ def test_a_region_is_watched_measured_and_removed(rig, client, url):
     assert heel["since"] == pytest.approx(images[0].time)
     series = client.get("/sensors/palm/regions/heel/series").json()
     assert series["peak"][0] == pytest.approx(inside[0].max())
-    lines = client.get("/sensors/palm/regions/heel/series?format=csv").text.splitlines()
+    answer = client.get("/sensors/palm/regions/heel/series?format=csv")
+    assert answer.headers["content-disposition"] == 'attachment; filename="palm-heel.csv"'
+    lines = answer.text.splitlines()
     assert lines[:3] == ["# sensor: palm", "# region: heel", "# time_s: Unix time"]
     assert lines[3] == "time_s,force_N,mean_kPa,peak_kPa,area_mm2,missing_taxels"
     assert lines[4].endswith(",0")
