@@ -120,11 +120,13 @@ class Learned:
         bases = zip(scene.modes.surface, self._gain.shape, strict=True)
         self._down, self._across = (np.ascontiguousarray(V[:, :n], np.float32) for V, n in bases)
         self.image = np.zeros((rows, columns), np.float32)
-        self._limits: Kept[Floats32] = Kept()
+        self._spreads: Kept[Floats32] = Kept()
         self._scale = 1.0  # kPa
 
     def prepare(self) -> None:
-        """Nothing is needed beforehand."""
+        """Make what the scene's spectrum needs."""
+        if self._scene.array.refine > 1:
+            self._spread()
 
     def __call__(self, linear: Floats32) -> int:
         """Restore from the linear image; gives the stages run."""
@@ -132,7 +134,8 @@ class Learned:
         self._scale = self._conditions(self._wiener)
         done = self._run(linear)
         if scene.array.refine > 1:
-            np.minimum(self.image, self._most(linear), out=self.image)
+            most = np.maximum(linear, 0) + np.float32(LIMIT * scene.noise) * self._spread()
+            np.minimum(self.image, most, out=self.image)
         scene.keep_force(self.image.reshape(-1))
         return done
 
@@ -147,13 +150,11 @@ class Learned:
         doubt = sqrt(max(scene.thickness_error**2 - THICKNESS_ERROR**2, 0.0))
         return np.asarray(np.hypot(spread, doubt * slope_in_thickness(scene, self.image)) if doubt else spread)
 
-    def _most(self, linear: Floats32) -> Floats32:
-        """The most (kPa) that each cell may have."""
+    def _spread(self) -> Floats32:
+        """Standard deviation of the linear image's cells, over the noise."""
         scene = self._scene
-        spread = self._limits(
-            scene.spectrum, lambda: (deviation(scene) / scene.noise).astype(np.float32), linear.size
-        )
-        return np.asarray(np.maximum(linear, 0) + np.float32(LIMIT * scene.noise) * spread, np.float32)
+        cells = scene.cell_reach.size
+        return self._spreads(scene.spectrum, lambda: np.asarray(deviation(scene) / scene.noise, np.float32), cells)
 
     def _run(self, linear: Floats32) -> int:
         """Make the image from the linear one; gives the number of stages, 0 if time is over."""
