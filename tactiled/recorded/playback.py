@@ -17,7 +17,7 @@ from tactiled.build import SensorPlan
 from tactiled.calibrate.counts.tare import Zero, below_zero
 from tactiled.chain import Chain, flag_warnings
 from tactiled.contacts.detection import DetectedContact, Finder
-from tactiled.contacts.felt import MIN_SUM_SHARE
+from tactiled.contacts.felt import is_known, shares, unknown_cells
 from tactiled.diagnostics.checks import CHECK_EVERY_FRAMES, CHECKS_IN_A_ROW
 from tactiled.diagnostics.warning_codes import WarningCode, warning
 from tactiled.frames import FrameWarning, RawFrame, SensorImage
@@ -150,9 +150,11 @@ class Playback:
         return first + int(totals.argmin()), first + int(totals.argmax())
 
     def _readings(self, number: int) -> tuple[float, float]:
-        """Force on the raw image of a frame, NaN where too few taxels are known, and its highest pressure."""
-        raw, _ = self._pressure(number, self._recorded.frame(self.plan.name, number))
-        known = 1 - np.isnan(raw).mean() >= MIN_SUM_SHARE
+        """Raw force of a frame, NaN where a load may be on what is unknown, and its highest pressure."""
+        raw, flags = self._pressure(number, self._recorded.frame(self.plan.name, number))
+        share = shares(flags, self.plan.blur)
+        whole = share is None or not unknown_cells(flags, self.plan.blur, share).any()
+        known = whole and is_known(1 - np.isnan(raw).mean(), summed=True)
         force = float(np.nansum(raw.ravel() * self._areas)) * FORCE_SCALES[self.plan.unit] if known else np.nan
         return force, float(np.fmax.reduce(raw, axis=None))
 

@@ -125,7 +125,11 @@ test("outlines are of the frame that is shown, wherever its contacts were found"
   outline.update(frame(8, [12, 13, 14, 15, 16]), plane, contacts);
   assert.deepEqual([...outline.extents.subarray(0, 4)], [2, 1, 7, 2]);
   assert.deepEqual([[...outline.cells], [...outline.centres.subarray(0, 2)]], [[5, 0], [8, 2]]);
-  outline.update(frame(9, []), plane, contacts);
+  const besideHole = frame(9, [12, 13, 14, 15, 16]);
+  besideHole.restored[17] = NaN;
+  outline.update(besideHole, plane, contacts);
+  assert.deepEqual([...outline.cells], [1, 0]); // what reaches the hole is no contact's
+  outline.update(frame(10, []), plane, contacts);
   assert.deepEqual([outline.count, ...outline.cells], [0, 0, 0]);
 });
 

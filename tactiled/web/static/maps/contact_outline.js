@@ -10,7 +10,7 @@ import { FORCE_SCALES } from "../shell/units.js";
 /** @import { Plane } from "./geometry.js" */
 /** @import { Contact } from "../wire/sensor_stream.js" */
 
-/** @typedef {{force: number, x: number, y: number, near: Set<number>|null}} Part cells that hang together; `near` are contacts, by their number */
+/** @typedef {{force: number, x: number, y: number, near: Set<number>|null, cut: boolean}} Part cells that hang together, `cut` by an unknown one; `near` are contacts, by their number */
 
 const CLEAR_DEVIATIONS = 5; // of the noise from which a cell is pressed, and
 const PEAK_SHARE = 0.1; // of its contact's peak: as the service's contacts have it
@@ -193,7 +193,7 @@ export class ContactOutline {
     for (let first = 0; first < count; first += 1) {
       if (!owners[first] || parts[first]) continue;
       /** @type {Part} */
-      const part = { force: 0, x: 0, y: 0, near: null };
+      const part = { force: 0, x: 0, y: 0, near: null, cut: false };
       found.push(part);
       parts[first] = found.length;
       queue[0] = first;
@@ -208,6 +208,7 @@ export class ContactOutline {
         for (let r = Math.max(0, row - 1); r <= Math.min(rows - 1, row + 1); r += 1) {
           for (let c = Math.max(0, column - 1); c <= Math.min(columns - 1, column + 1); c += 1) {
             const beside = r * columns + c;
+            if (Number.isNaN(values[beside]) && area[beside]) part.cut = true;
             if (!owners[beside] || parts[beside]) continue;
             parts[beside] = found.length;
             queue[end++] = beside;
@@ -229,8 +230,9 @@ export class ContactOutline {
     for (let i = 0; i < count; i += 1) {
       if (!owners[i]) continue;
       const part = parts[i] - 1;
-      const { near } = found[part];
-      owners[i] = owned[part] >= 0 ? owned[part] + 1 : near ? nearest(shapes, x[i], y[i], near) + 1 : 0;
+      const { near, cut } = found[part];
+      const own = owned[part] >= 0 ? owned[part] : near ? nearest(shapes, x[i], y[i], near) : -1;
+      owners[i] = own < 0 || (cut && distance(shapes, own, x[i], y[i]) > WITHIN_DEVIATIONS) ? 0 : own + 1; // no contact is beside a hole
     }
   }
 

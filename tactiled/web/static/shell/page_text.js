@@ -208,7 +208,7 @@ function reading(plane, frame, x, y, compared) {
   const s = plane.find(plane.restored, x, y);
   const place = `x ${lengthNumber(x)}, y ${lengthText(y)}`;
   if (r < 0 || s < 0) return `${place}: no taxel here`;
-  const raw = Number.isNaN(frame.raw[r]) ? "unknown" : pressureText(frame.raw[r], frame.unit);
+  const [raw, restored] = [frame.raw[r], frame.restored[s]].map((each) => (Number.isNaN(each) ? "unknown" : pressureText(each, frame.unit)));
   const off = frame.restored[s] - frame.raw[r];
   const difference = compared && !Number.isNaN(off) ? `, difference ${off >= 0.05 ? "+" : ""}${pressureText(off, frame.unit)}` : "";
   const flags = FLAG_NAMES.filter(([bit]) => frame.flags[r] & bit).map(([, name]) => `, ${name}`).join("");
@@ -218,7 +218,7 @@ function reading(plane, frame, x, y, compared) {
   const dragged = frame.sheared && frame.traction.length && !Number.isNaN(frame.traction[s]);
   if (dragged) shears.push(number(frame.traction[s]), pressureText(frame.traction[plane.restored.count + s], 0));
   const shear = shears.length ? `, shear ${shears.join(", ")}` : "";
-  return `${place}: raw ${raw}, restored ${pressureText(frame.restored[s], frame.unit)}${difference}${shear} (${taxel}${flags})`;
+  return `${place}: raw ${raw}, restored ${restored}${difference}${shear} (${taxel}${flags})`;
 }
 
 /**
