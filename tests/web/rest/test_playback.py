@@ -16,6 +16,7 @@ import pytest
 from tactiled.archive.export import ExportJob
 from tactiled.cli.replay import replaying
 from tactiled.config import Server, parse
+from tactiled.contacts import felt
 from tactiled.contacts.regions import Region
 from tactiled.frames import BAD
 from tactiled.live.service import Service
@@ -138,6 +139,14 @@ def test_frames_in_any_order_are_those_of_a_replay(client, folder):
     lost = [n for n, image in enumerate(expected) if np.isnan(image.restored).any()]
     assert np.isnan(force).tolist() == [n in lost for n in range(FRAMES)]
     assert lost
+
+
+def test_a_recording_has_no_force_where_a_cell_is_unknown(client, folder, monkeypatch):
+    monkeypatch.setattr(felt, "MIN_SUM_SHARE", 0.0)  # however few taxels are left
+    write(folder / "lost.log", list(traffic(missing={(20, 1)})))
+    force = opened(client, "lost.log")["force"]
+    (folder / "lost.log").unlink()
+    assert [n for n, each in enumerate(force) if each is None] == [20]
 
 
 def test_contacts_of_frames_are_those_of_each_alone(client):
