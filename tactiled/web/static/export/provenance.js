@@ -3,7 +3,6 @@
 import { isoTime } from "./download.js";
 import { timeOffset } from "../shell/timeline.js";
 import { UNITS } from "../shell/units.js";
-import { QUIET } from "../shell/warnings.js";
 
 /** @import { Frame } from "../wire/frame_history.js" */
 /** @import { Status } from "../wire/sensor_stream.js" */
@@ -17,7 +16,7 @@ import { QUIET } from "../shell/warnings.js";
  */
 export function provenance(sensor, frame, status, state) {
   const offset = status ? timeOffset(status, frame) : "";
-  const warnings = status?.warnings.filter((each) => !QUIET.has(each.code)).map((each) => each.text).join("; ");
+  const warnings = status?.warnings.map((each) => each.text).join("; ");
   return [
     ["sensor", sensor],
     ["frame", String(frame.sequence)],

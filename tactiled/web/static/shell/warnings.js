@@ -5,8 +5,7 @@ import { element, setText } from "./dom.js";
 /** @import { Warning } from "../wire/api.js" */
 
 const STAYS_MS = 5000; // after it was last reported, as the service's events have it
-/** A little less sharp, or just begun: no warning before it lasts, as in the service's events. */
-export const QUIET = new Set(["cut_short", "noise_unknown"]);
+const QUIET = new Set(["cut_short", "noise_unknown"]); // a little less sharp, or just begun: no warning before it lasts, as in the service's events
 const LASTS_MS = 10_000;
 const GAP_MS = 1500; // longer than from status to status
 
