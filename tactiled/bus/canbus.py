@@ -15,14 +15,16 @@ from can.io import blf
 from can.io.generic import MessageReader, MessageWriter
 from can.util import channel2int, dlc2len
 
+from tactiled.frames import Message
+
 __all__ = [
-    "VALID_INTERFACES", "Bus", "BusABC", "CanMessage", "MessageReader", "MessageWriter", "SentMessage",
-    "SlcanBus", "SocketcanBus", "blf", "channel2int", "close", "dlc2len", "filters_in_kernel", "formats",
+    "VALID_INTERFACES", "Bus", "BusABC", "CanMessage", "MessageReader", "MessageWriter", "SlcanBus",
+    "SocketcanBus", "blf", "can_message", "channel2int", "close", "dlc2len", "filters_in_kernel", "formats",
     "receive", "unended_line",
 ]  # fmt: skip
 
 
-class SentMessage(CanMessage):
+class _SentMessage(CanMessage):
     """A message that nobody changes: a virtual bus passes on the object itself, and makes no costly copy."""
 
     __slots__ = ()
@@ -30,6 +32,12 @@ class SentMessage(CanMessage):
     def __deepcopy__(self, memo: dict[int, Any] | None) -> Self:
         """Itself."""
         return self
+
+
+def can_message(message: Message) -> CanMessage:
+    """A data frame as python-can has it."""
+    time_s, id_, fd = message.time, message.id, message.fd
+    return _SentMessage(time_s, id_, message.extended, data=message.data, is_fd=fd, bitrate_switch=fd)
 
 
 def receive(bus: BusABC, timeout: float) -> CanMessage | None:

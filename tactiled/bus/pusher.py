@@ -2,7 +2,7 @@
 
 from threading import Lock
 
-from tactiled.bus.canbus import Bus, SentMessage
+from tactiled.bus.canbus import Bus, can_message
 from tactiled.bus.codec import Codec
 from tactiled.errors import BusError
 from tactiled.frames import Counts
@@ -24,9 +24,8 @@ class Pusher:
             number = self._next if sequence is None else sequence
             self._next = number + 1
             for each in codec.encode(counts, number, time_s):
-                message = SentMessage(time_s, each.id, each.extended, data=each.data, is_fd=each.fd)
                 try:
-                    self._bus.send(message, SEND_S)
+                    self._bus.send(can_message(each), SEND_S)
                 except Exception as error:  # python-can's, where a queue is full
                     raise BusError(f"the service does not keep up: {error}") from error
         return number

@@ -20,8 +20,8 @@ from tactiled.bus.canbus import (
     Bus,
     BusABC,
     CanMessage,
-    SentMessage,
     SocketcanBus,
+    can_message,
     filters_in_kernel,
     receive,
 )
@@ -278,12 +278,6 @@ def _socket(bus: BusABC) -> socket.socket | None:
         with suppress(OSError):
             handle.setsockopt(*every_group, 0)
     return handle
-
-
-def can_message(message: Message) -> SentMessage:
-    """A data frame as python-can has it."""
-    time_s, id_, fd = message.time, message.id, message.fd
-    return SentMessage(time_s, id_, message.extended, data=message.data, is_fd=fd, bitrate_switch=fd)
 
 
 def _raw(frame: CanMessage) -> Message:

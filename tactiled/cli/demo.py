@@ -17,7 +17,8 @@ from threadpoolctl import threadpool_limits
 
 from tactiled import logs
 from tactiled.bus import recording
-from tactiled.bus.reader import Reader, can_message, open_bus
+from tactiled.bus.canbus import can_message
+from tactiled.bus.reader import Reader, open_bus
 from tactiled.bus.recorder import Recorder
 from tactiled.cli import options
 from tactiled.cli.app import stoppable

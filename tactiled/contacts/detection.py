@@ -98,8 +98,7 @@ class Finder:
         parts, rings = np.zeros_like(self.parts), np.zeros_like(self.parts)
         for labels, dips in ((parts, DIP_SHARES), (rings, RING_DIP_SHARES)):
             core.split(picture, order, highest, least, was, dips, SKIRT_SHARE, labels)
-        if np.count_nonzero(parts != rings):
-            parts = _with_rings(parts, rings, picture > SKIRT_SHARE * highest)
+        _join_rings(parts, rings, picture > SKIRT_SHARE * highest)
         tops = np.full(int(parts.max()) + 1, -np.inf)
         np.maximum.at(tops, parts, picture)
         tops[0] = np.inf
@@ -172,15 +171,14 @@ class Finder:
         return [DetectedContact(0, *centre, *others) for centre, *others in values]
 
 
-def _with_rings(parts: Labels, rings: Labels, clear: Mask) -> Labels:
-    """`parts`, but as `rings` has those that surround a hole in what is `clear`; all (R, C)."""
+def _join_rings(parts: Labels, rings: Labels, clear: Mask) -> None:
+    """Join those `parts` that are one in `rings`, if it surrounds a hole in what is `clear`; all (R, C)."""
     from scipy.ndimage import binary_fill_holes
 
     for number in np.unique(rings[parts != rings]):
         ring = (rings == number) & clear
         if np.count_nonzero(binary_fill_holes(ring) & ~ring):
             parts[rings == number] = number
-    return parts
 
 
 def _ends(array: Array, cells: Raster) -> Mask:

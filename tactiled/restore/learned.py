@@ -120,12 +120,12 @@ class Learned:
         bases = zip(scene.modes.surface, self._gain.shape, strict=True)
         self._down, self._across = (np.ascontiguousarray(V[:, :n], np.float32) for V, n in bases)
         self.image = np.zeros((rows, columns), np.float32)
-        self._spreads: Kept[Floats32] = Kept()
+        self._is_fine, self._spreads = scene.array.refine > 1, Kept[Floats32]()
         self._scale = 1.0  # kPa
 
     def prepare(self) -> None:
         """Make what the scene's spectrum needs."""
-        if self._scene.array.refine > 1:
+        if self._is_fine:
             self._spread()
 
     def __call__(self, linear: Floats32) -> int:
@@ -133,7 +133,7 @@ class Learned:
         scene = self._scene
         self._scale = self._conditions(self._wiener)
         done = self._run(linear)
-        if scene.array.refine > 1:
+        if self._is_fine:
             most = np.maximum(linear, 0) + np.float32(LIMIT * scene.noise) * self._spread()
             np.minimum(self.image, most, out=self.image)
         scene.keep_force(self.image.reshape(-1))

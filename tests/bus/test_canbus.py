@@ -5,8 +5,8 @@ from threading import Thread
 
 from can.interfaces.socketcan import SocketcanBus
 
-from tactiled.bus.canbus import Bus, CanMessage, filters_in_kernel, receive
-from tactiled.bus.reader import can_message, open_bus
+from tactiled.bus.canbus import Bus, CanMessage, can_message, filters_in_kernel, receive
+from tactiled.bus.reader import open_bus
 from tactiled.frames import Message
 from tests.conftest import BUSY_S
 

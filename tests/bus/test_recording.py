@@ -17,9 +17,9 @@ from can.io import blf
 from tactiled.build import sensor_plan
 from tactiled.bus import recording
 from tactiled.bus.assembler import assemble
+from tactiled.bus.canbus import can_message
 from tactiled.bus.codecs.packed import Packed
 from tactiled.bus.logfile import MAX_BLOCK_BYTES, MAX_LINE_CHARACTERS
-from tactiled.bus.reader import can_message
 from tactiled.bus.recorder import Recorder
 from tactiled.bus.recording import FD_LOST, MAX_BACK_S, MAX_PAUSE_S, Pace, Recording
 from tactiled.bus.textlog import CSV_HEAD
